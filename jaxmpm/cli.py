@@ -1,0 +1,163 @@
+"""The command line: `jaxmpm run | scenes | plot | verify | benchmark`."""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from jaxmpm import __version__
+
+BAD_INPUT, STOPPED, INTERRUPTED = 2, 1, 130
+
+
+def main(arguments=None) -> int:
+    """Entry point; returns the exit status: 0 done, 1 stopped or failed, 2 bad input."""
+    options = _parser().parse_args(arguments)
+    from jaxmpm.errors import RunError, SceneError
+    from jaxmpm.results import ResultError
+
+    try:
+        return options.command(options)
+    except SceneError as error:
+        for line in error.lines:
+            print(f"jaxmpm: {line}", file=sys.stderr)
+        return BAD_INPUT
+    except ResultError as error:
+        print(f"jaxmpm: {error}", file=sys.stderr)
+        return BAD_INPUT
+    except RunError as error:
+        print(f"jaxmpm: stopped: {error}", file=sys.stderr)
+        return STOPPED
+    except KeyboardInterrupt:
+        print("jaxmpm: interrupted; what was computed is on disk, --resume goes on", file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:
+        sys.stderr.close()
+        return 0
+    except OSError as error:  # a disk that is full, a folder that may not be written
+        print(f"jaxmpm: {error}", file=sys.stderr)
+        return STOPPED
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="jaxmpm",
+        description="Differentiable material point method for fracture of quasi-brittle materials.",
+        epilog="example: jaxmpm run den --set grid.cell=5 --out results/den5",
+    )
+    parser.add_argument("--version", action="version", version=f"jaxmpm {__version__}")
+    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+
+    run = commands.add_parser("run", help="run a scene and write its results")
+    run.add_argument("scene", metavar="SCENE", help="a bundled name (jaxmpm scenes) or a TOML file")
+    run.add_argument("--out", metavar="DIR", help="where to write (default: results/NAME)")
+    run.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", dest="overrides",
+        help="change the scene, e.g. grid.cell=1.25; may be given again",
+    )  # fmt: skip
+    run.add_argument("--resume", action="store_true", help="go on with an interrupted run in DIR")
+    run.add_argument("--quiet", action="store_true", help="no progress")
+    run.set_defaults(command=_run)
+
+    scenes = commands.add_parser("scenes", help="list the bundled scenes")
+    scenes.set_defaults(command=_scenes)
+
+    plot = commands.add_parser("plot", help="draw the pictures of a result again")
+    plot.add_argument("directory", metavar="DIR")
+    plot.add_argument("--deformed", type=float, metavar="FACTOR", help="exaggerate the displacement")
+    plot.add_argument("--frame", type=int, default=-1, help="which frame (default: the last)")
+    plot.add_argument("--format", default="png", choices=("png", "pdf", "svg"))
+    plot.set_defaults(command=_plot)
+
+    verify = commands.add_parser("verify", help="check the program against known answers")
+    verify.add_argument("checks", nargs="*", metavar="CHECK", help="which (default: all)")
+    verify.add_argument("--angle", type=float, help="of the opening test, degrees")
+    verify.add_argument("--cell", type=float, help="cell of the opening test, mm")
+    verify.add_argument("--json", metavar="FILE", help="write the table as JSON")
+    verify.set_defaults(command=_verify)
+
+    bench = commands.add_parser("benchmark", help="time a scene over cell sizes")
+    bench.add_argument("scene", nargs="?", default="den", metavar="SCENE")
+    bench.add_argument("--cells", type=float, nargs="+", default=[5.0, 2.5, 1.25], metavar="MM")
+    bench.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="overrides")
+    bench.add_argument("--json", metavar="FILE", help="write the table as JSON")
+    bench.set_defaults(command=_benchmark)
+    return parser
+
+
+def _run(options) -> int:
+    from jaxmpm.scene import load_scene
+
+    scene = load_scene(options.scene, options.overrides)
+    directory = Path(options.out or Path("results") / scene.name)
+    from jaxmpm.run import run_scene
+
+    summary = run_scene(scene, directory, options.resume, progress=not options.quiet)
+    if not options.quiet:
+        print(report(summary, directory))
+    return 0
+
+
+def report(summary: dict, directory) -> str:
+    """The end of a run in a few lines."""
+    lines = []
+    if "peak_load" in summary:
+        lines.append(
+            f"peak {summary['peak_load'] / 1e3:.3f} kN at {summary['displacement_at_peak']:.4f} mm, "
+            f"{summary['final_load'] / 1e3:.3f} kN at the end ({summary['final_displacement']:.4f} mm)"
+        )
+    lines += [
+        f"{summary['cracked']} of {summary['cells']} cells cracked, "
+        f"energy error {summary['energy_error']:.1e}",
+        f"{summary['run_seconds']:.1f} s for {summary['steps']} steps "
+        f"({summary['ms_per_step']:.2f} ms a step, {summary['cell_steps_per_second'] / 1e6:.1f} M "
+        f"cell-steps/s), {summary['compile_seconds']:.1f} s compilation, "
+        f"{summary['wall_seconds']:.1f} s in all, {summary['precision']}, {summary['device']}",
+        f"written to {directory}: summary.json history.csv result.vtkhdf response.png cracks.png",
+    ]
+    return "\n".join(lines)
+
+
+def _scenes(options) -> int:
+    from jaxmpm.scene import scene_names
+
+    names = scene_names()
+    width = max(map(len, names))
+    for name, title in names.items():
+        print(f"{name:{width}}  {title}")
+    return 0
+
+
+def _plot(options) -> int:
+    from jaxmpm import plot
+
+    directory = Path(options.directory)
+    suffix = f".{options.format}"
+    if "response" in plot.read_summary(directory):
+        print(plot.plot_response(directory, directory / f"response{suffix}"))
+    name = "cracks" if options.deformed is None else "deformed"
+    target = directory / f"{name}{suffix}"
+    print(plot.plot_cracks(directory, target, frame=options.frame, deformed=options.deformed))
+    return 0
+
+
+def _verify(options) -> int:
+    from jaxmpm import verify
+
+    checks = verify.run(options.checks, angle=options.angle, cell=options.cell, show=print)
+    if options.json:
+        Path(options.json).write_text(json.dumps(checks, indent=1))
+    return 0 if all(check["passed"] for check in checks) else STOPPED
+
+
+def _benchmark(options) -> int:
+    from jaxmpm import benchmark
+
+    rows = benchmark.run(options.scene, options.cells, options.overrides, show=print)
+    if options.json:
+        Path(options.json).write_text(json.dumps(rows, indent=1))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

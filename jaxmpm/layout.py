@@ -1,0 +1,277 @@
+"""Lays a scene on its grid: which cells are filled, which nodes are held, moved, pulled, measured.
+
+A node (i, j) has flat index i (ny + 1) + j; a degree of freedom has flat index
+component (nx + 1)(ny + 1) + node, component 0 along x and 1 along y.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from jaxmpm.errors import Problems, written
+from jaxmpm.fill import boundary_length, cells_at_nodes, fill
+from jaxmpm.scene import Force, History, Scene, direction_cosines
+from jaxmpm.shapes import nodes_in
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """A load: at each time, `weights` times the history's value on `dofs`.
+
+    Weights of a displacement are direction cosines; those of a force hold each dof's share, so
+    that the value is the total force (N) or the traction (MPa).
+    """
+
+    dofs: np.ndarray
+    weights: np.ndarray
+    history: History
+
+
+@dataclass(frozen=True, eq=False)
+class Gauge:
+    """A reading, the sum of weights times field[dofs].
+
+    The field is the internal force (N) for kind "reaction", otherwise the displacement (mm).
+    """
+
+    name: str
+    kind: str
+    dofs: np.ndarray
+    weights: np.ndarray
+    unit: str
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """A scene on its grid."""
+
+    shape: tuple[int, int]  # cells along x and y
+    cell: float  # mm
+    origin: tuple[float, float]  # mm
+    materials: tuple[str, ...]  # those in use, in the scene's order
+    material: np.ndarray  # (nx, ny), index into materials, -1 where empty
+    sets: dict[str, np.ndarray]  # sorted flat node indices
+    velocity: np.ndarray  # (2, nx + 1, ny + 1), initial, mm/s, zero where held
+    held: np.ndarray  # sorted flat dof indices
+    displacements: tuple[Drive, ...]
+    forces: tuple[Drive, ...]
+    gauges: tuple[Gauge, ...]
+
+    def node_coordinates(self) -> np.ndarray:
+        """Coordinates of the nodes, (2, nx + 1, ny + 1), mm."""
+        x, y = node_lines(self.origin, self.shape, self.cell)
+        return np.stack(np.meshgrid(x, y, indexing="ij"))
+
+
+def node_lines(origin, shape, cell: float) -> tuple[np.ndarray, np.ndarray]:
+    """Positions of the nodes along x (nx + 1) and along y (ny + 1), mm."""
+    x, y = (o + np.arange(n + 1) * cell for o, n in zip(origin, shape, strict=True))
+    return x, y
+
+
+def lay_out(scene: Scene) -> Layout:
+    """The scene on its grid; raises one SceneError that lists every geometric mistake."""
+    work = _Work(scene)
+    owner = fill(scene, work.problems)
+    # Sets and loads on a body that came out wrong would only repeat its mistakes.
+    work.problems.raise_any()
+    work.place(owner)
+    held = work.held()
+    displacements = work.displacements()
+    forces = work.forces()
+    work.check_conflicts()
+    gauges = work.gauges()
+    work.problems.raise_any()
+    materials, material = _materials(scene, owner)
+    velocity = _velocity(scene, owner)
+    velocity.reshape(-1)[held] = 0.0
+    return Layout(
+        shape=scene.grid.shape,
+        cell=scene.grid.cell,
+        origin=scene.grid.origin,
+        materials=materials,
+        material=material,
+        sets=work.sets,
+        velocity=velocity,
+        held=held,
+        displacements=displacements,
+        forces=forces,
+        gauges=gauges,
+    )
+
+
+def _materials(scene: Scene, owner: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:
+    used = {scene.bodies[index].material for index in np.unique(owner[owner >= 0])}
+    names = tuple(name for name in scene.materials if name in used)
+    # The last entry is what owner = -1 picks; a body without a cell is picked by none.
+    index = [names.index(b.material) if b.material in used else -1 for b in scene.bodies]
+    return names, np.array([*index, -1])[owner]
+
+
+def _velocity(scene: Scene, owner: np.ndarray) -> np.ndarray:
+    density = np.array([*(scene.materials[b.material].density for b in scene.bodies), 0.0])[owner]
+    mass = cells_at_nodes(density)
+    velocity = np.zeros((2, *mass.shape))
+    for component in (0, 1):
+        speed = np.array([*(b.velocity[component] for b in scene.bodies), 0.0])[owner]
+        # Weighed by mass, so that bodies that meet keep their momentum.
+        np.divide(cells_at_nodes(density * speed), mass, out=velocity[component], where=mass > 0)
+    return velocity
+
+
+class _Work:
+    """What is known half-way: node sets, and who acts on which degree of freedom."""
+
+    def __init__(self, scene: Scene):
+        self.scene = scene
+        self.problems = Problems(scene.to_dict())
+        self.sets: dict[str, np.ndarray] = {}
+        # (path, what it does, dofs) of every support and load
+        self.acting: list[tuple[tuple, str, np.ndarray]] = []
+
+    def place(self, owner: np.ndarray) -> None:
+        """Find the nodes of filled cells and the node sets among them."""
+        grid = self.scene.grid
+        self.filled = owner >= 0
+        self.touching = cells_at_nodes(self.filled.astype(int))
+        self.nodes = self.touching.size
+        self.xy = node_lines(grid.origin, grid.shape, grid.cell)
+        x, y = self.xy[0][:, None], self.xy[1][None, :]
+        for name, chosen in self.scene.sets.items():
+            mask = (self.touching > 0) & nodes_in(chosen.inside, x, y, grid.cell)
+            if chosen.on == "boundary":
+                mask &= self.touching < 4
+            if chosen.outside:
+                mask &= ~nodes_in(chosen.outside, x, y, grid.cell)
+            self.sets[name] = np.flatnonzero(mask)
+            if not mask.any():
+                where = "boundary" if chosen.on == "boundary" else "filled"
+                advice = f"nodes are every {grid.cell:g} mm from grid.origin; move or widen it"
+                self.problems.add(
+                    ("sets", name, "inside"), f"shapes that hold at least one {where} node", advice
+                )
+
+    def along(self, nodes: np.ndarray, direction, both: bool = False) -> tuple:
+        """Dofs of nodes that a direction touches, and its cosine on each."""
+        parts = enumerate(direction_cosines(direction))
+        chosen = [(c, w) for c, w in parts if w != 0.0 or (both and not isinstance(direction, str))]
+        dofs = [c * self.nodes + nodes for c, _ in chosen]
+        weights = [np.full(len(nodes), w) for _, w in chosen]
+        return np.concatenate(dofs).astype(np.int64), np.concatenate(weights)
+
+    def held(self) -> np.ndarray:
+        """Dofs of the supports."""
+        everything = [np.empty(0, np.int64)]
+        for i, support in enumerate(self.scene.supports):
+            parts = [self.along(self.sets[support.set], axis)[0] for axis in support.fix]
+            dofs = np.unique(np.concatenate(parts))
+            self.acting.append((("supports", i), "hold", dofs))
+            everything.append(dofs)
+        return np.unique(np.concatenate(everything))
+
+    def displacements(self) -> tuple[Drive, ...]:
+        """The prescribed displacements."""
+        drives = []
+        for i, load in enumerate(self.scene.displacements):
+            dofs, weights = self.along(self.sets[load.set], load.direction, both=True)
+            self.acting.append((("displacements", i), "move", dofs))
+            drives.append(Drive(dofs, weights, load.history))
+        return tuple(drives)
+
+    def forces(self) -> tuple[Drive, ...]:
+        """The forces."""
+        drives = []
+        for i, load in enumerate(self.scene.forces):
+            share = self._shares(i, load)
+            nodes = np.flatnonzero(share)
+            dofs, weights = self.along(nodes, load.direction)
+            repeats = len(dofs) // max(len(nodes), 1)
+            self.acting.append((("forces", i), "pull", dofs))
+            drives.append(Drive(dofs, weights * np.tile(share[nodes], repeats), load.history))
+        return tuple(drives)
+
+    def _shares(self, index: int, load: Force) -> np.ndarray:
+        grid, nodes = self.scene.grid, self.sets[load.set]
+        chosen = np.zeros(self.touching.shape, dtype=bool)
+        chosen.flat[nodes] = True
+        length = boundary_length(self.filled, chosen, grid.cell).reshape(-1)
+        if load.kind == "traction":
+            if len(nodes) and not length.any():
+                advice = 'use kind = "force", or a set along the boundary'
+                expected = "a set with both nodes of at least one boundary edge"
+                self.problems.add(("forces", index, "set"), expected, advice)
+            return length * grid.thickness
+        if length.any():
+            return length / length.sum()
+        return chosen.reshape(-1) / max(len(nodes), 1)
+
+    def check_conflicts(self) -> None:
+        """Two entries must not act on one degree of freedom, unless both only hold it."""
+        for i, (path, does, dofs) in enumerate(self.acting):
+            for other, did, theirs in self.acting[:i]:
+                shared = np.intersect1d(dofs, theirs)
+                if len(shared) and {does, did} != {"hold"}:
+                    self._conflict(path, other, did, shared)
+
+    def _conflict(self, path: tuple, other: tuple, did: str, shared: np.ndarray) -> None:
+        nodes = np.unique(shared % self.nodes)
+        axes = " and ".join("xy"[c] for c in np.unique(shared // self.nodes))
+        count = f"{len(nodes)} node" + "s" * (len(nodes) > 1)
+        name = self.problems.source[other[0]][other[1]]["set"]
+        self.problems.add(
+            (*path, "set"),
+            f"nodes free along {axes}, but {other[0]}.{other[1]} (set {written(name)}) also {did}s "
+            f"{count} of them there, one at {self._point(nodes[0])}",
+            'take them out of one of the two sets with "outside"',
+            again=True,
+        )
+
+    def _point(self, node: int) -> str:
+        i, j = divmod(int(node), self.touching.shape[1])
+        return f"({self.xy[0][i]:g}, {self.xy[1][j]:g}) mm"
+
+    def gauges(self) -> tuple[Gauge, ...]:
+        """The gauges, in the scene's order."""
+        return tuple(self._gauges())
+
+    def _gauges(self) -> Iterator[Gauge]:
+        for name, gauge in self.scene.gauges.items():
+            if gauge.kind == "relative_displacement":
+                nodes, weights = self._two_points(name, gauge.points), np.array([-1.0, 1.0])
+            else:
+                nodes = self.sets[gauge.set]
+                weights = np.full(len(nodes), 1.0 / max(len(nodes), 1))
+            dofs, cosines = self.along(nodes, gauge.direction)
+            if gauge.kind == "reaction":
+                dofs, weights = self._prescribed(name, dofs, cosines)
+                yield Gauge(name, gauge.kind, dofs, weights, "N")
+            else:
+                repeats = len(dofs) // max(len(nodes), 1)
+                yield Gauge(name, gauge.kind, dofs, cosines * np.tile(weights, repeats), "mm")
+
+    def _prescribed(self, name: str, dofs: np.ndarray, cosines: np.ndarray) -> tuple:
+        # The internal force of a free node is no reaction but its inertia.
+        known = [theirs for _, does, theirs in self.acting if does != "pull"]
+        keep = np.isin(dofs, np.concatenate([np.empty(0, np.int64), *known]))
+        if len(dofs) and not keep.any():
+            expected = "a set with nodes held or moved in the gauge's direction"
+            advice = "this gauge would always read zero"
+            self.problems.add(("gauges", name, "set"), expected, advice)
+        return dofs[keep], cosines[keep]
+
+    def _two_points(self, name: str, points) -> np.ndarray:
+        cell, nodes = self.scene.grid.cell, []
+        for i, (x, y) in enumerate(points):
+            distance = np.hypot(self.xy[0][:, None] - x, self.xy[1][None, :] - y) / cell
+            # Rounded, so that of nodes equally far the first is taken on every machine.
+            distance = np.where(self.touching > 0, np.round(distance, 6), np.inf)
+            nodes.append(int(np.argmin(distance)))
+            if distance.min() > 1.0:
+                advice = f"the nearest node of a body is at {self._point(nodes[-1])}"
+                expected = f"a point within one cell, {cell:g} mm, of a body's node"
+                self.problems.add(("gauges", name, "points", i), expected, advice)
+        if nodes[0] == nodes[1]:
+            expected = f"two points with different nearest nodes, not both {self._point(nodes[0])}"
+            self.problems.add(("gauges", name, "points"), expected, "move them apart")
+        return np.array(nodes)

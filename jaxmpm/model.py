@@ -1,0 +1,213 @@
+"""From a laid-out scene to a `Model` (arrays and parameters) and its first `State`.
+
+`Model` and `State` are pytrees. Everything one may want to fit (E, ν, f_t, E_p, n, h, density,
+loads) is a leaf of the model and can be differentiated; what changes a shape or a branch is
+static.
+"""
+
+from dataclasses import dataclass, field
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxmpm import bands, grid, tensor
+from jaxmpm.bands import Pool
+from jaxmpm.laws.band import Embedding
+from jaxmpm.laws.damage import Damage
+from jaxmpm.laws.elastic import Elastic
+from jaxmpm.loads import Load
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Gauge:
+    """A measured number: the weighted sum of a nodal field over some degrees of freedom."""
+
+    dofs: jax.Array
+    weights: jax.Array
+    reaction: bool = field(metadata={"static": True})  # of the reaction, else of displacement
+
+
+@dataclass(frozen=True)
+class Numerics:
+    """What is fixed when the step is compiled."""
+
+    cell: float  # mm
+    thickness: float  # mm
+    size: int  # length of a strain vector
+    effective_size: str  # rule for H
+    normal_window: int  # cells over which the onset stress is averaged
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Model:
+    """A scene as arrays and parameters."""
+
+    embedding: Embedding  # laws of every material, leaves (materials,)
+    density: jax.Array  # tonne/mm³, (materials,)
+    damping: jax.Array  # local damping coefficient
+    material: jax.Array  # material of every cell, -1 where empty, (nx, ny)
+    free: jax.Array  # 1 where a degree of freedom may move by itself, (2, nx+1, ny+1)
+    displacements: tuple[Load, ...]
+    forces: tuple[Load, ...]
+    gauges: dict[str, Gauge]
+    numerics: Numerics = field(metadata={"static": True})
+
+
+class Ledger(NamedTuple):
+    """Work done so far, N·mm."""
+
+    initial: jax.Array  # kinetic energy at the start
+    external: jax.Array
+    damping: jax.Array
+
+
+class State(NamedTuple):
+    """All that changes from step to step."""
+
+    step: jax.Array
+    displacement: jax.Array  # (2, nx+1, ny+1), mm
+    velocity: jax.Array  # half a step behind, (2, nx+1, ny+1), mm/s
+    intact: jax.Array  # 1 where a cell is uncracked, 0 where it has a band, (nx, ny)
+    place: jax.Array  # of the cell's band in the pool, -1 without one, (nx, ny)
+    pool: Pool
+    work: Ledger
+    failed: jax.Array  # place in the pool of a band that did not converge, or -1
+
+
+class Fields(NamedTuple):
+    """Cell and node fields that follow from the parameters; made once per call, not per step."""
+
+    direct: jax.Array  # C₁₁, MPa, 0 in empty cells, (nx, ny)
+    cross: jax.Array  # C₁₂
+    shear: jax.Array  # C₃₃
+    embedding: Embedding  # laws of every cell, leaves (nx, ny)
+    mass: jax.Array  # lumped, tonne, (nx+1, ny+1)
+    mobility: jax.Array  # 1/mass where free, else 0, (2, nx+1, ny+1)
+
+
+def fields(model):
+    """Stiffness, laws and mass as fields over the grid."""
+    n = model.numerics
+    filled = model.material >= 0
+    laws = bands.at(model.embedding, jnp.maximum(model.material, 0))
+    direct, cross, shear = (
+        jnp.where(filled, c, 0.0) for c in laws.bulk.coefficients(n.size)
+    )
+    density = jnp.where(filled, model.density[model.material], 0.0)
+    mass = grid.spread(density) * (n.cell**2 * n.thickness)
+    mobility = model.free * jnp.where(mass > 0, 1 / jnp.where(mass > 0, mass, 1.0), 0.0)
+    return Fields(direct, cross, shear, laws, mass, mobility)
+
+
+def stable_time_step(model):
+    """Largest stable step (s) of the explicit scheme: 2/ω of the stiffest cell on its own.
+
+    The highest frequency of a mesh never exceeds that of its stiffest element (Irons'
+    theorem). For a square bilinear cell with lumped mass it belongs to a constant strain:
+    ω² = 4 max(C₁₁ + C₁₂, 2 C₃₃) / (ρ c²).
+    """
+    n = model.numerics
+    direct, cross, shear = model.embedding.bulk.coefficients(n.size)
+    hardest = jnp.maximum(direct + cross, 2 * shear)
+    return n.cell * jnp.sqrt(jnp.min(model.density / hardest))
+
+
+def first_state(model, velocity, capacity=None):
+    """State in the reference configuration, with initial nodal velocities (2, nx+1, ny+1), mm/s.
+
+    Room for bands is a quarter of the cells to begin with: it costs memory only (0.2 kB each),
+    while every growth costs a compilation.
+    """
+    dtype = model.free.dtype
+    capacity = capacity or max(1024, model.material.size // 4)
+    velocity = jnp.asarray(velocity, dtype)
+    zero = jnp.zeros((), dtype)
+    kinetic = (fields(model).mass * (velocity**2).sum(0)).sum() / 2
+    return State(
+        step=jnp.zeros((), jnp.int32),
+        displacement=jnp.zeros_like(model.free),
+        velocity=velocity,
+        intact=(model.material >= 0).astype(dtype),
+        place=jnp.full(model.material.shape, -1, jnp.int32),
+        pool=empty_pool(model, capacity),
+        work=Ledger(kinetic, zero, zero),
+        failed=jnp.full((), -1, jnp.int32),
+    )
+
+
+def empty_pool(model, capacity):
+    """A pool of bands for this model, without bands."""
+    law = bands.at(model.embedding.law, 0)
+    return bands.empty_pool(law, capacity, model.numerics.size, model.free.dtype)
+
+
+def cell_strain_vectors(mean, cells, size):
+    """Strain vectors (size, k) of some cells, by flat index, from the cell fields."""
+    return tensor.from_plane([component.reshape(-1)[cells] for component in mean], size)
+
+
+def from_layout(scene, layout):
+    """The `Model` of a laid-out scene, in the scene's precision."""
+    dtype = jnp.dtype(scene.solver.precision)
+    array = partial(jnp.asarray, dtype=dtype)
+    materials = [scene.materials[name] for name in layout.materials]
+    nx, ny = layout.shape
+    free = np.ones(2 * (nx + 1) * (ny + 1))
+    free[layout.held] = 0
+    for drive in layout.displacements:
+        free[drive.dofs] = 0
+    return Model(
+        embedding=_embedding(scene, materials, array),
+        density=array([material.density for material in materials]),
+        damping=array(scene.solver.damping),
+        material=jnp.asarray(layout.material, jnp.int32),
+        free=array(free.reshape(2, nx + 1, ny + 1)),
+        displacements=tuple(_load(drive, array) for drive in layout.displacements),
+        forces=tuple(_load(drive, array) for drive in layout.forces),
+        gauges={
+            gauge.name: Gauge(
+                jnp.asarray(gauge.dofs, jnp.int32), array(gauge.weights), gauge.kind == "reaction"
+            )
+            for gauge in layout.gauges
+        },
+        numerics=Numerics(
+            cell=layout.cell,
+            thickness=scene.grid.thickness,
+            size=tensor.STRAIN_SIZE[scene.grid.stress_state],
+            effective_size=scene.bands.effective_size,
+            normal_window=scene.bands.normal_window,
+        ),
+    )
+
+
+def _embedding(scene, materials, array):
+    """Laws of all materials, stacked; a material without a band has infinite strength."""
+    never = {"ft": np.inf, "Ep": 1.0, "n": 0.1, "h": 1e-3}
+    band = [dict(m.band or never) for m in materials]
+    every = lambda tables, names: [array([table[k] for table in tables]) for k in names]  # noqa: E731
+    return Embedding(
+        bulk=Elastic(*every([dict(m.bulk) for m in materials], ("E", "nu"))),
+        law=Damage(*every(band, ("ft", "Ep", "n", "h"))),
+        release=array([scene.bands.release] * len(materials)),
+    )
+
+
+def _load(drive, array):
+    """A load of the layout as arrays."""
+    history = drive.history
+    start = np.zeros(len(history.time) - 1)
+    first = history.first_change
+    start[first] = history.smooth_start / (history.time[first + 1] - history.time[first])
+    return Load(
+        dofs=jnp.asarray(drive.dofs, jnp.int32),
+        weights=array(drive.weights),
+        time=array(history.time),
+        value=array(history.value),
+        start=array(start),
+        smooth=history.interpolation == "smooth",
+    )

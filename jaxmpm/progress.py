@@ -1,0 +1,64 @@
+"""Progress of a run: a line that rewrites itself on a terminal, plain lines elsewhere."""
+
+import sys
+import time
+
+BAR = 24  # characters
+
+
+class Progress:
+    """Shows displacement, load, cracked cells, energy error and the time left."""
+
+    def __init__(self, wanted: bool = True, stream=None):
+        self.stream = stream or sys.stderr
+        self.wanted = wanted
+        self.terminal = self.stream.isatty()
+        self.tenth = -1
+        self.open = False
+
+    def start(self, recorder) -> None:
+        """Say what is about to run."""
+        self.began, self.first = time.perf_counter(), recorder.done
+        if not self.wanted:
+            return
+        sim, scene = recorder.sim, recorder.scene
+        cells = int((sim.layout.material >= 0).sum())
+        print(
+            f"{scene.name}: {cells} cells of {scene.grid.cell:g} mm, {sim.steps} steps of "
+            f"{sim.dt:.3g} s ({scene.solver.time_step_factor:g} of the stable {sim.stable_dt:.3g} s), "
+            f"{scene.solver.precision}"
+            + (f", resumed at sample {recorder.done + 1}" if recorder.done >= 0 else ""),
+            file=self.stream,
+        )
+
+    def show(self, recorder) -> None:
+        """Show where the run is."""
+        if not self.wanted:
+            return
+        total, done = recorder.scene.output.samples, recorder.done
+        share = done / total
+        if not self.terminal:
+            if int(10 * share) == self.tenth:
+                return
+            self.tenth = int(10 * share)
+        passed = time.perf_counter() - self.began
+        left = passed * (total - done) / max(done - max(self.first, 0), 1)
+        row = dict(zip((name for name, _ in recorder.columns), recorder.rows[-1], strict=True))
+        text = f"{share:4.0%}"
+        if recorder.scene.response:
+            names = recorder.scene.response
+            text += f"  {row[names.displacement]:.4f} mm  {row[names.load]:9.1f} N"
+        text += f"  {row['cracked']} cracked  energy error {row['energy_error']:.1e}  {left:.0f} s left"
+        if self.terminal:
+            filled = round(BAR * share)
+            bar = "█" * filled + "·" * (BAR - filled)
+            print(f"\r\033[K{bar} {text}", end="", file=self.stream, flush=True)
+            self.open = True
+        else:
+            print(text, file=self.stream, flush=True)
+
+    def close(self) -> None:
+        """End the line."""
+        if self.open:
+            print(file=self.stream)
+            self.open = False

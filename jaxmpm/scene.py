@@ -1,0 +1,304 @@
+"""What to simulate: a typed, checked scene, read from TOML (mm, N, MPa, s, tonne)."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, ValidationError, ValidationInfo, field_validator
+
+from jaxmpm import scene_check, scene_source
+from jaxmpm.errors import SceneError, written
+from jaxmpm.shapes import Number, Pair, Positive, Shape, Table, cosines
+
+Count = Annotated[int, Field(strict=True)]
+Direction = Annotated[
+    Literal["x", "y"] | Number, Field(description="an axis, or an angle from the x axis in degrees")
+]
+Shapes = Annotated[tuple[Shape, ...], Field(min_length=1)]
+SetName = Annotated[str, Field(description="name of a node set")]
+
+
+def direction_cosines(direction: str | float) -> tuple[float, float]:
+    """Unit vector of a direction, "x", "y" or an angle in degrees from the x axis."""
+    return cosines({"x": 0.0, "y": 90.0}.get(direction, direction))
+
+
+class Grid(Table):
+    """The Cartesian grid."""
+
+    size: tuple[Positive, Positive] = Field(description="extent [x, y] of the grid, mm")
+    origin: Pair = Field((0.0, 0.0), description="lower left corner [x, y] of the grid, mm")
+    cell: Positive = Field(description="side of a square cell, mm")
+    stress_state: Literal["plane_stress", "plane_strain"] = Field(description="the stress state")
+    thickness: Positive = Field(description="thickness out of the plane, mm")
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Number of cells along x and y."""
+        return round(self.size[0] / self.cell), round(self.size[1] / self.cell)
+
+
+class Elastic(Table):
+    """Linear elastic bulk."""
+
+    law: Literal["elastic"] = Field(description="law of the bulk")
+    E: Positive = Field(description="Young's modulus, MPa")
+    nu: Number = Field(gt=-1.0, lt=0.5, description="Poisson's ratio, dimensionless")
+
+
+class Damage(Table):
+    """The damage law of the localisation band (Nguyen, Eqs. 11-13)."""
+
+    law: Literal["damage"] = Field(description="law of the band")
+    ft: Positive = Field(description="tensile strength, MPa")
+    Ep: Positive = Field(description="softening modulus at onset, MPa")
+    n: Number = Field(
+        gt=0.0,
+        lt=0.5,
+        description="exponent of softening, dimensionless; from 0.5 on the dissipation is infinite",
+    )
+    h: Positive = Field(description="width of the band, mm")
+
+
+class Material(Table):
+    """A material: its bulk, and the band that a crack in it becomes."""
+
+    density: Positive = Field(description="density, tonne/mm3; concrete is 2.4e-9")
+    bulk: Elastic = Field(description="law of the bulk")
+    band: Damage | None = Field(None, description="law of the band; without one it never cracks")
+
+
+class Body(Table):
+    """A part of the scene; later bodies replace earlier ones where they overlap."""
+
+    name: str = Field(description="name of the body")
+    material: str = Field(description="name of a material")
+    shapes: Shapes = Field(description="what the body covers, the union of these")
+    minus: tuple[Shape, ...] = Field((), description="what is cut out of it")
+    velocity: Pair = Field((0.0, 0.0), description="initial velocity [x, y], mm/s")
+
+
+class NodeSet(Table):
+    """Nodes of filled cells, chosen by where they are."""
+
+    on: Literal["all", "boundary"] = Field(
+        "all", description="any node of a filled cell, or only those that touch fewer than 4"
+    )
+    inside: Shapes = Field(description="where the nodes are, the union of these, edges included")
+    outside: tuple[Shape, ...] = Field((), description="where they are not, edges included")
+
+
+class History(Table):
+    """A value against time, held after the last knot."""
+
+    time: tuple[Number, ...] = Field(min_length=2, description="times of the knots, s")
+    value: tuple[Number, ...] = Field(min_length=2, description="values at the knots, mm, N or MPa")
+    interpolation: Literal["linear", "smooth"] = Field(
+        "linear", description="between knots; smooth has neither speed nor acceleration at knots"
+    )
+    smooth_start: Annotated[Number, Field(ge=0.0)] = Field(
+        0.0, description="how long the first change takes to reach its full rate, s"
+    )
+
+    @property
+    def first_change(self) -> int:
+        """Index of the first interval over which the value changes, 0 if it never does."""
+        pairs = zip(self.value, self.value[1:], strict=False)
+        return next((i for i, (a, b) in enumerate(pairs) if a != b), 0)
+
+    @field_validator("time")
+    @classmethod
+    def _increasing(cls, time: tuple[float, ...]) -> tuple[float, ...]:
+        if time[0] != 0.0 or any(b <= a for a, b in zip(time, time[1:], strict=False)):
+            raise ValueError("times that start at 0 and increase, s")
+        return time
+
+    @field_validator("value")
+    @classmethod
+    def _as_many(cls, value: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
+        time = info.data.get("time", value)
+        if len(value) != len(time):
+            raise ValueError(f"as many values as there are times, {len(time)}")
+        return value
+
+    @field_validator("smooth_start")
+    @classmethod
+    def _fits(cls, smooth_start: float, info: ValidationInfo) -> float:
+        if smooth_start == 0.0 or not {"time", "value", "interpolation"} <= info.data.keys():
+            return smooth_start
+        if info.data["interpolation"] != "linear":
+            raise ValueError('0 with interpolation = "smooth", which starts smoothly by itself')
+        history = cls.model_construct(**info.data)
+        first = history.first_change
+        interval = history.time[first + 1] - history.time[first]
+        if smooth_start >= interval:
+            raise ValueError(f"less than {interval:g}, the first interval with a change, s")
+        return smooth_start
+
+
+class Support(Table):
+    """Nodes that do not move."""
+
+    set: SetName
+    fix: tuple[Literal["x", "y"], ...] = Field(min_length=1, description="components held at zero")
+
+
+class Displacement(Table):
+    """Nodes that are moved; an axis leaves the other component free, an angle leaves none."""
+
+    set: SetName
+    direction: Direction
+    history: History = Field(description="displacement against time, mm")
+
+
+class Force(Table):
+    """Nodes that are pulled."""
+
+    set: SetName
+    direction: Direction
+    kind: Literal["force", "traction"] = Field(
+        description="force: total in N; traction: MPa on the boundary edges within the set"
+    )
+    history: History = Field(description="force against time, N or MPa")
+
+
+class ReactionGauge(Table):
+    """Sum of the reactions of a set's prescribed nodes, N."""
+
+    kind: Literal["reaction"]
+    set: SetName
+    direction: Direction
+
+
+class DisplacementGauge(Table):
+    """Mean displacement of a set, mm."""
+
+    kind: Literal["displacement"]
+    set: SetName
+    direction: Direction
+
+
+class RelativeGauge(Table):
+    """Displacement of a second point less that of a first, mm."""
+
+    kind: Literal["relative_displacement"]
+    points: tuple[Pair, Pair] = Field(description="first and second point [x, y], mm")
+    direction: Direction
+
+
+AnyGauge = Annotated[ReactionGauge | DisplacementGauge | RelativeGauge, Field(discriminator="kind")]
+
+
+class Response(Table):
+    """Which gauges make the response curve."""
+
+    load: str = Field(description="name of a reaction gauge")
+    displacement: str = Field(description="name of a displacement gauge")
+
+
+class Bands(Table):
+    """How bands sit in their cells."""
+
+    effective_size: Literal["projected", "centreline", "sqrt_area"] = Field(
+        "projected", description="how the effective size H of a cracked cell is measured"
+    )
+    normal_window: Annotated[Count, Field(ge=1)] = Field(
+        5, description="odd: cells each way over which stress is averaged for the normal"
+    )
+    release: Annotated[Number, Field(ge=0.0)] = Field(
+        1.0,
+        description="exponent p of the release of crack-parallel stress with the band's cohesion "
+        "to the power p; 0 keeps that stress",
+    )
+
+    @field_validator("normal_window")
+    @classmethod
+    def _odd(cls, value: int) -> int:
+        if value % 2 == 0:
+            raise ValueError("an odd number, so that the window has a middle cell")
+        return value
+
+
+class Solver(Table):
+    """How time is stepped."""
+
+    kind: Literal["explicit"] = Field("explicit", description="the solver")
+    duration: Positive = Field(description="time to simulate, s")
+    time_step_factor: Annotated[Number, Field(gt=0.0, lt=1.0)] = Field(
+        0.9, description="time step over the largest stable one, dimensionless"
+    )
+    damping: Annotated[Number, Field(ge=0.0, lt=1.0)] = Field(
+        0.02, description="local damping coefficient, dimensionless"
+    )
+    precision: Literal["float64", "float32"] = Field("float64", description="of all numbers")
+    energy_error_limit: Positive = Field(0.05, description="relative energy error that stops a run")
+    gradient_limit: Positive = Field(
+        0.02,
+        description="largest displacement gradient of an uncracked cell that the total frame "
+        "accepts, dimensionless",
+    )
+
+
+class Output(Table):
+    """How much is written."""
+
+    samples: Annotated[Count, Field(ge=2)] = Field(400, description="rows of history.csv")
+    frames: Annotated[Count, Field(ge=2)] = Field(20, description="frames of result.vtkhdf")
+
+
+class Scene(Table):
+    """A whole scene."""
+
+    name: str = Field("", description="short name; the file's name where the scene gives none")
+    title: str = Field(description="one line on what the scene shows")
+    parameters: dict[str, Number] = Field({}, description='numbers used elsewhere as "$name"')
+    grid: Grid = Field(description="the grid")
+    materials: dict[str, Material] = Field(min_length=1, description="materials by name")
+    bodies: tuple[Body, ...] = Field(min_length=1, description="what fills the grid")
+    sets: dict[str, NodeSet] = Field({}, description="node sets by name")
+    supports: tuple[Support, ...] = Field((), description="what is held")
+    displacements: tuple[Displacement, ...] = Field((), description="what is moved")
+    forces: tuple[Force, ...] = Field((), description="what is pulled")
+    gauges: dict[str, AnyGauge] = Field({}, description="what is measured, by name")
+    response: Response | None = Field(None, description="the gauges of the response curve")
+    bands: Bands = Field(Bands(), description="how bands sit in their cells")
+    solver: Solver = Field(description="how time is stepped")
+    output: Output = Field(Output(), description="how much is written")
+
+    @classmethod
+    def from_dict(cls, tree: dict[str, Any]) -> "Scene":
+        """The scene of nested tables; raises one SceneError that lists everything wrong with it."""
+        if not isinstance(tree, dict):
+            raise SceneError(f"scene = {written(tree)}: expected a table of tables")
+        resolved, problems = scene_source.resolve(tree)
+        scene = None
+        try:
+            scene = cls.model_validate(resolved)
+        except ValidationError as error:
+            scene_check.explain(error.errors(), cls.model_json_schema(), problems)
+        scene_check.check(resolved, problems)
+        problems.raise_any()
+        if scene is None:
+            raise SceneError("scene: expected tables as the README describes them")
+        return scene
+
+    def to_dict(self) -> dict[str, Any]:
+        """The scene as tables ready for JSON, parameters replaced; `from_dict` takes it back."""
+        return self.model_dump(mode="json", exclude_none=True)
+
+
+def load_scene(source: str | Path, overrides: Sequence[str] = ()) -> Scene:
+    """The scene of a bundled name or a TOML file, with each override "key.path=value" put in.
+
+    Raises SceneError, one line for each thing wrong.
+    """
+    path = scene_source.find(source)
+    tree = scene_source.override(scene_source.read(path), overrides)
+    tree.setdefault("name", path.stem)
+    return Scene.from_dict(tree)
+
+
+def scene_names() -> dict[str, str]:
+    """The bundled scenes, name to title."""
+    found = scene_source.bundled().items()
+    return {name: str(scene_source.read(path).get("title", "")) for name, path in found}

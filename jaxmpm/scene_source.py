@@ -1,0 +1,210 @@
+"""From a name or a file to one tree of tables: TOML, overrides, parameters (no types yet)."""
+
+import ast
+import copy
+import math
+import operator
+import re
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from jaxmpm.errors import Problems, SceneError, did_you_mean, written
+
+SCENES = Path(__file__).parent / "scenes"
+
+
+def bundled() -> dict[str, Path]:
+    """The scenes that come with the program, name to file."""
+    return {path.stem: path for path in sorted(SCENES.glob("*.toml"))}
+
+
+def find(source: str | Path) -> Path:
+    """The file of a scene given by bundled name or by path; a bundled name wins."""
+    names = bundled()
+    if isinstance(source, str) and source in names:
+        return names[source]
+    path = Path(source)
+    if path.suffix == ".toml" or path.is_file():
+        return path
+    near = did_you_mean(source, names)
+    hint = f"did you mean {written(near)}?" if near else "a file's name ends in .toml"
+    raise SceneError(
+        f"scene = {written(str(source))}: expected a TOML file or one of {', '.join(names)} "
+        f"({hint})"
+    )
+
+
+def read(path: Path) -> dict[str, Any]:
+    """The tables of a TOML file."""
+    try:
+        return tomllib.loads(path.read_bytes().decode("utf-8"))
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise SceneError(
+            f"scene = {written(str(path))}: expected a file to read ({reason})"
+        ) from None
+    except UnicodeDecodeError as error:
+        raise SceneError(
+            f"scene = {written(str(path))}: expected UTF-8 text (byte {error.start} is not)"
+        ) from None
+    except (ValueError, RecursionError) as error:
+        raise SceneError(f"scene = {written(str(path))}: expected TOML ({error})") from None
+
+
+def override(tree: dict[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
+    """A copy of `tree` with each "key.path=value" put in, tables made where they are missing."""
+    tree = copy.deepcopy(tree)
+    lines = []
+    for text in overrides:
+        try:
+            _put(tree, text)
+        except SceneError as error:
+            lines += error.lines
+    if lines:
+        raise SceneError(lines)
+    return tree
+
+
+def _put(tree: dict[str, Any], text: str) -> None:
+    dotted, equals, value = text.partition("=")
+    parts = [part.strip() for part in dotted.split(".")]
+    if not equals or not all(parts):
+        raise SceneError(f"override {written(text)}: expected key.path=value (as in grid.cell=2.5)")
+    node: Any = tree
+    for depth, part in enumerate(parts):
+        where = ".".join(parts[:depth])
+        last = depth == len(parts) - 1
+        if isinstance(node, list):
+            # One past the end appends: a load can be added to a scene that has some.
+            if not part.isdecimal() or int(part) > len(node):
+                raise SceneError(
+                    f"override {written(text)}: expected an item number 0 to {len(node)} "
+                    f"after {where}"
+                )
+            key = int(part)
+            if key == len(node):
+                node.append({})
+        elif isinstance(node, dict):
+            key = part
+            node.setdefault(key, {})
+        else:
+            raise SceneError(
+                f"override {written(text)}: expected {where} to be a table or a list, "
+                f"it is {written(node)}"
+            )
+        if last:
+            node[key] = _value(value.strip())
+        node = node[key]
+
+
+def _value(text: str) -> Any:
+    try:
+        parsed = tomllib.loads(f"value = {text}")
+    except (ValueError, RecursionError):
+        return text
+    return parsed["value"] if len(parsed) == 1 else text
+
+
+def resolve(tree: dict[str, Any]) -> tuple[dict[str, Any], Problems]:
+    """A copy of `tree` with its parameters worked out and every "$name" and "-$name" replaced."""
+    resolved = copy.deepcopy(tree)
+    problems = Problems(tree, resolved)
+    table = resolved.get("parameters", {})
+    values: dict[str, float] = {}
+    for name, value in table.items() if isinstance(table, dict) else ():
+        # A parameter that is wrong still counts as known, so that it is reported once.
+        values[name] = value
+        if isinstance(value, str):
+            _work_out(values, name, value, problems)
+            table[name] = values[name]
+    for key in resolved:
+        if key != "parameters":
+            resolved[key] = _replace(resolved[key], (key,), values, problems)
+    return resolved, problems
+
+
+def _work_out(values: dict[str, float], name: str, text: str, problems: Problems) -> None:
+    earlier = {key: value for key, value in values.items() if key != name}
+    try:
+        values[name] = evaluate(text, earlier)
+        if any(isinstance(value, float) and math.isnan(value) for value in earlier.values()):
+            # It may rest on a parameter that is wrong and reported already.
+            problems.skip(("parameters", name))
+        return
+    except NameError as error:
+        near = did_you_mean(error.name, earlier)
+        known = ", ".join(earlier) or "none"
+        advice = f"did you mean {written(near)}?" if near else f"earlier parameters: {known}"
+        advice = f"{written(error.name)} is no earlier parameter; {advice}"
+    except ZeroDivisionError:
+        advice = "it divides by zero"
+    except (ValueError, OverflowError):
+        advice = 'for example "angle + 90"'
+    problems.add(
+        ("parameters", name),
+        "a number, or an expression of numbers, + - * / ( ) and the names of earlier parameters",
+        advice,
+    )
+    values[name] = math.nan
+
+
+def _replace(node: Any, path: tuple, values: dict[str, float], problems: Problems) -> Any:
+    if isinstance(node, dict):
+        return {k: _replace(v, (*path, k), values, problems) for k, v in node.items()}
+    if isinstance(node, list):
+        return [_replace(v, (*path, i), values, problems) for i, v in enumerate(node)]
+    match = re.fullmatch(r"(-?)\$(.+)", node) if isinstance(node, str) else None
+    if not match:
+        return node
+    sign, name = match.groups()
+    if name not in values:
+        near = did_you_mean(name, values)
+        known = ", ".join(f"${key}" for key in values) or "none: add it to [parameters]"
+        problems.add(
+            path, f"a parameter, one of {known}", f'did you mean "{sign}${near}"?' if near else ""
+        )
+        return node
+    value = values[name]
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not number or not math.isfinite(value):
+        problems.skip(path)
+        return math.nan
+    return -value if sign else value
+
+
+_OPERATORS = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.UAdd: operator.pos,
+    ast.USub: operator.neg,
+}
+
+
+def evaluate(text: str, names: dict[str, float]) -> float:
+    """The value of an expression of numbers, + - * / ( ) and names.
+
+    Raises NameError (with the name), ZeroDivisionError, or ValueError for anything else.
+    """
+    try:
+        return float(_evaluate(ast.parse(text.strip(), mode="eval").body, names))
+    except (SyntaxError, RecursionError, MemoryError, TypeError) as error:
+        raise ValueError(str(error)) from None
+
+
+def _evaluate(node: ast.expr, names: dict[str, float]) -> float:
+    match node:
+        case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):
+            return value
+        case ast.Name(id=name):
+            if name not in names:
+                raise NameError(name, name=name)
+            return names[name]
+        case ast.UnaryOp(op=op, operand=operand) if type(op) in _OPERATORS:
+            return _OPERATORS[type(op)](_evaluate(operand, names))
+        case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
+            return _OPERATORS[type(op)](_evaluate(left, names), _evaluate(right, names))
+    raise ValueError(f"cannot evaluate {ast.dump(node)}")

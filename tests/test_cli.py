@@ -1,0 +1,74 @@
+"""The command line: exit status, messages, what it writes."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from jaxmpm import cli
+
+
+def run(*arguments):
+    return cli.main([str(argument) for argument in arguments])
+
+
+def test_run_writes_and_reports(tmp_path, capsys):
+    code = run("run", "bar", "--out", tmp_path, "--set", "output.samples=20", "--set", "output.frames=2")
+    assert code == 0
+    out, err = capsys.readouterr()
+    assert "peak 0.2" in out and "cells cracked" in out
+    assert "of the stable" in err  # the time step is shown with its factor
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    # the weak column carries 0.95 f_t × 100 mm², and a little more: it cannot contract freely
+    assert 265.0 < summary["peak_load"] < 292.0  # coarse samples may miss the tip
+    assert run("plot", tmp_path, "--deformed", 50) == 0
+    assert (tmp_path / "deformed.png").stat().st_size > 500
+
+
+def test_bad_input_is_one_line_and_status_2(capsys):
+    assert run("run", "den", "--set", "grid.cel=2.5") == cli.BAD_INPUT
+    error = capsys.readouterr().err
+    assert "grid.cel = 2.5" in error and "cell" in error and "Traceback" not in error
+    assert run("run", "dne") == cli.BAD_INPUT
+    assert "den" in capsys.readouterr().err
+    assert run("plot", "no-such-directory") == cli.BAD_INPUT
+
+
+def test_a_stopped_run_is_status_1(tmp_path, capsys):
+    code = run("run", "bar", "--out", tmp_path, "--set", "solver.gradient_limit=1e-9", "--quiet")
+    assert code == cli.STOPPED
+    assert "gradient_limit" in capsys.readouterr().err
+
+
+def test_scenes_are_listed(capsys):
+    assert run("scenes") == 0
+    listed = capsys.readouterr().out
+    assert all(name in listed for name in ("den", "den_4a", "bar", "opening"))
+
+
+def test_verify_table_and_json(tmp_path, capsys):
+    file = tmp_path / "v.json"
+    assert run("verify", "uniaxial", "fracture_energy", "tangent", "patch", "--json", file) == 0
+    rows = json.loads(file.read_text())
+    assert len(rows) == 10
+    assert all({"check", "value", "expected", "error", "limit", "passed"} == set(row) for row in rows)
+    assert "uniaxial law" in capsys.readouterr().out
+    assert run("verify", "uniaxal") == cli.BAD_INPUT
+
+
+def test_verify_one_opening(tmp_path):
+    file = tmp_path / "v.json"
+    assert run("verify", "opening", "--angle", 22.5, "--cell", 5, "--json", file) == 0
+    work, left = json.loads(file.read_text())
+    assert work["check"] == "opening 22.5" and abs(work["value"] - 1) < 0.05
+    assert left["value"] < 0.01
+
+
+def test_help_needs_no_jax():
+    code = (
+        "import sys; from jaxmpm import cli\n"
+        "try: cli.main(['--help'])\nexcept SystemExit: pass\n"
+        "assert 'jax' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
