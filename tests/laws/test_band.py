@@ -111,7 +111,7 @@ def opening_path(embedding, onset, normal, H, course):
 
 # ------------------------------------------------------------------ derivatives
 
-SHARE = {"onset": 0.99, "loading": 0.99, "unloading": 0.99, "damaged": 0.8, "sheared": 0.99}
+SHARE = {"onset": 0.99, "loading": 0.99, "unloading": 0.99, "damaged": 0.7, "sheared": 0.99}
 REGIMES = ["onset", "loading", "unloading", "damaged", "sheared"]
 
 
