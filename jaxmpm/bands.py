@@ -1,70 +1,93 @@
 """The pool of bands: a cell gets one when it cracks, and only then costs anything.
 
-The pool is a set of arrays with room for `capacity` bands, the first `count` in use. Bands are
-solved in blocks, and only as many blocks as are in use, so spare room costs nothing. When it
-is full no cell is allowed to crack unseen: the state says so before anything is lost, the
-driver grows the pool and goes on.
+The pool is a set of arrays with room for `capacity` bands, the first `count` in use; whole
+blocks of them are answered together, and only as many blocks as are in use. A band at rest
+answers by its secant, a few multiplications; only those that load are solved. When the pool is
+full no cell is allowed to crack unseen: the state says so before anything is lost, the driver
+grows the pool and goes on.
 """
 
-from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 
 from jaxmpm import tensor
+from jaxmpm.laws import balance
 from jaxmpm.laws import band as band_law
-from jaxmpm.laws.band import Band
+from jaxmpm.laws.band import Band, Secant
 
-BLOCK = 256  # bands that are answered together; the room for bands is a multiple of it
-LOADING = 256  # bands that load are solved together
+BLOCK = 512  # bands that are answered together; the room for bands is a multiple of it
+LOADING = 128  # bands that load are solved together
 
 
 class Pool(NamedTuple):
-    """Room for bands, the last axis of every array; the first `count` are in use."""
+    """Room for bands; the first `count` are in use."""
 
-    bands: Band  # every leaf (..., capacity)
+    records: jax.Array  # one row a band, see `packed`, (capacity, k)
     cell: jax.Array  # flat index of the cell of each band, (capacity,)
     count: jax.Array  # how many are in use
     stress: jax.Array  # in-plane stress of the cell of each, MPa, (3, capacity)
 
 
-def over_bands(function):
-    """Map a function of one point over many, which lie along the last axis of every array."""
-    return jax.vmap(function, in_axes=-1, out_axes=-1)
+def _blank(size):
+    """A harmless unstrained band in an elastic bulk and its in-plane secant, one row of each."""
+    zeros = np.zeros
+    band = Band(
+        np.array([1.0, 0.0]), np.array([1e6]), zeros(size), zeros(2), zeros(1), (), zeros(1), zeros(1)
+    )
+    return band, Secant(zeros((2, 4)), zeros((3, 4)), zeros(1))
 
 
-def empty_pool(law, capacity, size, dtype):
-    """A pool without bands; spare places hold a harmless unstrained band.
+def packed(band, secant):
+    """Rows (bands, k) of all numbers of bands and their secants, for one read and write each."""
+    leaves = jax.tree.leaves((band, secant))
+    return jnp.concatenate([leaf.reshape(-1, leaf.shape[-1]) for leaf in leaves]).T
 
-    `law` is one band law (scalar leaves), to know the shape of its history.
-    """
+
+def unpacked(records, size):
+    """Bands and secants, bands last, from rows (bands, k)."""
+    leaves, tree = jax.tree.flatten(_blank(size))
+    pieces = jnp.split(records.T, np.cumsum([leaf.size for leaf in leaves])[:-1])
+    shapes = [leaf.shape if leaf.size > 1 else () for leaf in leaves]
+    parts = [piece.reshape(*shape, -1) for piece, shape in zip(pieces, shapes, strict=True)]
+    return jax.tree.unflatten(tree, parts)
+
+
+def unsolved(band, size):
+    """Rows of bands that have no secant yet: any strain counts as loading, and gives them one."""
+    count = band.size.shape[0]
+    fill = lambda leaf: jnp.full((*leaf.shape, count), -1.0, band.size.dtype)  # noqa: E731
+    return packed(band, jax.tree.map(fill, _blank(size)[1]))
+
+
+def bands_of(pool, size):
+    """Every band of a pool as a `Band` whose arrays have the bands last."""
+    return unpacked(pool.records, size)[0]
+
+
+def empty_pool(capacity, size, dtype):
+    """A pool without bands; spare places hold harmless unstrained bands."""
     capacity = -(-capacity // BLOCK) * BLOCK
-    history = jax.tree.map(
-        lambda leaf: jnp.broadcast_to(jnp.asarray(leaf, dtype), (capacity,)), law.initial()
+    row = packed(*jax.tree.map(lambda leaf: leaf[..., None], _blank(size))).astype(dtype)
+    zero = jnp.zeros((), jnp.int32)
+    return Pool(
+        records=jnp.broadcast_to(row, (capacity, row.shape[1])),
+        cell=jnp.zeros((capacity,), jnp.int32),
+        count=zero,
+        stress=jnp.zeros((3, capacity), dtype),
     )
-    bands = Band(
-        normal=jnp.zeros((2, capacity), dtype).at[0].set(1.0),
-        size=jnp.full((capacity,), 1.0e6, dtype),
-        onset_strain=jnp.zeros((size, capacity), dtype),
-        strain=jnp.zeros((size, capacity), dtype),
-        jump=jnp.zeros((2, capacity), dtype),
-        history=history,
-        released=jnp.zeros((capacity,), dtype),
-    )
-    cell, count = jnp.zeros((capacity,), jnp.int32), jnp.zeros((), jnp.int32)
-    return Pool(bands, cell, count, jnp.zeros((3, capacity), dtype))
 
 
 def joined(pool, spare):
     """The bands of `pool` in order, with the empty pool `spare` behind them as further room."""
-    join = lambda a, b: jnp.concatenate([a, b], axis=-1)  # noqa: E731
     return Pool(
-        jax.tree.map(join, pool.bands, spare.bands),
-        join(pool.cell, spare.cell),
+        jnp.concatenate([pool.records, spare.records]),
+        jnp.concatenate([pool.cell, spare.cell]),
         pool.count,
-        join(pool.stress, spare.stress),
+        jnp.concatenate([pool.stress, spare.stress], axis=1),
     )
 
 
@@ -73,108 +96,131 @@ def at(tree, index):
     return jax.tree.map(lambda leaf: leaf[..., index], tree)
 
 
-def solve(pool, embedding, material, mean, precision):
-    """Solve every band in use at the mean strain of its cell.
+def laws_of(embedding, material, cells):
+    """Laws of some cells; where there is one material only, one for all."""
+    if all(leaf.shape[-1] == 1 for leaf in jax.tree.leaves(embedding)):
+        return at(embedding, 0)
+    return at(embedding, material[cells])
 
-    Most bands rest at any moment: they are answered by one linear solve, and only those that
-    load are taken through Newton. Whole blocks are read and written as slices, and the list of
-    the loading ones is gathered, because scattering is slow on CPUs.
+
+def solve(pool, embedding, material, mean, size, precision):
+    """Solve every band in use at the mean strain of its cell.
 
     Args:
         pool: the bands.
         embedding: laws of each material, leaves (materials,).
         material: material of each cell, flat (cells,).
         mean: in-plane strain of the cells xx, yy, xy, each flat (cells,).
+        size: length of a strain vector.
         precision: out-of-balance traction that is accepted, as a share of the strength.
 
     Returns:
         (pool, place of a band that did not converge or -1)
     """
-    pool, loading, number = _rest(pool, embedding, material, mean, precision)
-    return _load(pool, embedding, material, mean, precision, loading, number)
+    stress, loading, number = _rest(pool, embedding, material, mean, size)
+    pool = pool._replace(stress=stress)
+    return _load(pool, embedding, material, mean, size, precision, loading, number)
 
 
 def _blocks(number, block):
     return (number + block - 1) // block
 
 
-def _strain(pool, mean, cells, used):
-    """Strain vectors (size, k) of cells; zero where not used."""
-    size = pool.bands.onset_strain.shape[0]
-    picked = [jnp.where(used, component[cells], 0.0) for component in mean]
-    return tensor.from_plane(picked, size)
+def _strain(mean, cells, used):
+    """In-plane strain (3, k) of cells; zero where not used."""
+    return jnp.stack([jnp.where(used, component[cells], 0.0) for component in mean])
 
 
-def _rest(pool, embedding, material, mean, precision):
-    """Answer every band as if it did not load, and list those that do."""
+def _rest(pool, embedding, material, mean, size):
+    """Stress of every band as if it did not load, and the places of those that do."""
     capacity = pool.cell.shape[0]
     lanes = jnp.arange(BLOCK, dtype=jnp.int32)
 
     def block(k, carry):
-        jumps, strains, stress, loading, number = carry
+        stress, loading, number = carry
         start = k * BLOCK
-        cut = lambda leaf: lax.dynamic_slice_in_dim(leaf, start, BLOCK, -1)  # noqa: E731
-        paste = lambda leaf, new: lax.dynamic_update_slice_in_dim(leaf, new, start, -1)  # noqa: E731
         used = start + lanes < pool.count
-        cells, mine = cut(pool.cell), jax.tree.map(cut, pool.bands)
-        strain = _strain(pool, mean, cells, used)
-        answer = over_bands(partial(band_law.rest, precision=precision))(
-            at(embedding, material[cells]), mine, strain
-        )
-        rests = used & ~answer.loads
-        jumps = paste(jumps, jnp.where(rests, answer.jump, mine.jump))
-        strains = paste(strains, jnp.where(rests, strain, mine.strain))
-        stress = paste(stress, tensor.to_plane(answer.stress))
-        loads = used & answer.loads
+        cells = lax.dynamic_slice_in_dim(pool.cell, start, BLOCK)
+        rows = lax.dynamic_slice_in_dim(pool.records, start, BLOCK)
+        band, secant = unpacked(rows, size)
+        laws = laws_of(embedding, material, cells)
+        strain = _strain(mean, cells, used)
+        _, answer, loads = band_law.at_rest(secant, laws, band, strain)
+        stress = lax.dynamic_update_slice_in_dim(stress, answer, start, 1)
+        loads &= used
         listed = lax.sort(jnp.where(loads, start + lanes, capacity))  # the loading ones first
         loading = lax.dynamic_update_slice_in_dim(loading, listed, number, 0)
-        return jumps, strains, stress, loading, number + loads.sum(dtype=number.dtype)
+        return stress, loading, number + loads.sum(dtype=number.dtype)
 
     # a block behind the last one may write past what is listed
     loading = jnp.zeros((capacity + BLOCK,), jnp.int32)
     none = jnp.zeros((), jnp.int32)
-    carry = (pool.bands.jump, pool.bands.strain, pool.stress, loading, none)
-    jumps, strains, stress, loading, number = lax.fori_loop(0, _blocks(pool.count, BLOCK), block, carry)
-    bands = pool.bands._replace(jump=jumps, strain=strains)
-    return pool._replace(bands=bands, stress=stress), loading, number
+    carry = (pool.stress, loading, none)
+    return lax.fori_loop(0, _blocks(pool.count, BLOCK), block, carry)
 
 
-def _load(pool, embedding, material, mean, precision, loading, number):
+def _load(pool, embedding, material, mean, size, precision, loading, number):
     """Solve the bands listed in `loading` with all there is."""
     capacity = pool.cell.shape[0]
 
     def block(k, carry):
-        bands, stress, failed = carry
+        records, stress, failed = carry
         start = k * LOADING
         used = start + jnp.arange(LOADING) < number
         place = jnp.where(used, lax.dynamic_slice_in_dim(loading, start, LOADING), 0)
         cells = pool.cell[place]
-        answer = over_bands(partial(band_law.respond, precision=precision))(
-            at(embedding, material[cells]), at(bands, place), _strain(pool, mean, cells, used)
-        )
-        bad = used & ~(answer.residual <= answer.tolerance)
+        laws = laws_of(embedding, material, cells)
+        band = unpacked(records[place], size)[0]
+        strain = tensor.from_plane(_strain(mean, cells, used), size)
+        answer = balance.respond(laws, band, strain, precision)
+        bad = used & (answer.status == balance.FAILS)
         failed = jnp.where(bad.any(), place[jnp.argmax(bad)].astype(failed.dtype), failed)
         target = jnp.where(used, place, capacity)
-        put = lambda leaf, new: leaf.at[..., target].set(new, mode="drop")  # noqa: E731
-        stress = put(stress, tensor.to_plane(answer.stress))
-        return jax.tree.map(put, bands, answer.band), stress, failed
+        rows = packed(answer.band, in_plane_secant(laws, answer.band, size))
+        records = records.at[target].set(rows, mode="drop")
+        in_plane = tensor.to_plane(answer.stress)
+        return records, stress.at[:, target].set(in_plane, mode="drop"), failed
 
-    carry = (pool.bands, pool.stress, jnp.full((), -1, jnp.int32))
-    bands, stress, failed = lax.fori_loop(0, _blocks(number, LOADING), block, carry)
-    return pool._replace(bands=bands, stress=stress), failed
+    carry = (pool.records, pool.stress, jnp.full((), -1, jnp.int32))
+    records, stress, failed = lax.fori_loop(0, _blocks(number, LOADING), block, carry)
+    return pool._replace(records=records, stress=stress), failed
 
 
-def add(pool, fresh, cells, new):
-    """Put those of the `fresh` bands (k) that are `new` behind the others; there must be room.
+def in_plane_secant(laws, band, size):
+    """`Secant` of bands by the in-plane strain of their cells, stress in-plane too."""
+    basis = np.eye(size)[[0, 1, size - 1]]
+    secant = band_law.secant(laws, band, basis)
+    return secant._replace(stress=secant.stress[np.array([0, 1, size - 1])])
+
+
+def current(pool, embedding, material, mean, size):
+    """All bands (`Band`, bands last) as they are at the mean strain of their cells.
+
+    A band that rests keeps the jump it was last solved with; here it has that of its secant.
+    """
+    band, secant = unpacked(pool.records, size)
+    used = jnp.arange(pool.cell.shape[0]) < pool.count
+    laws = laws_of(embedding, material, pool.cell)
+    strain = _strain(mean, pool.cell, used)
+    jump, _, _ = band_law.at_rest(secant, laws, band, strain)
+    solved = used & (secant.ratio > 0)
+    return band._replace(jump=jnp.where(solved, jump, band.jump))
+
+
+def add(pool, fresh, cells, new, stress):
+    """Put those of the `fresh` records (j, k) that are `new` behind the others, if there is room.
+
+    Their cells bear the in-plane `stress` (3, j) until they are solved.
 
     Returns the pool and the place of each, the capacity for those that are not new.
     """
     capacity = pool.cell.shape[0]
     place = jnp.where(new, pool.count + jnp.cumsum(new, dtype=pool.count.dtype) - 1, capacity)
-    put = lambda leaf, value: leaf.at[..., place].set(value, mode="drop")  # noqa: E731
+    records = pool.records.at[place].set(fresh, mode="drop")
+    cell = pool.cell.at[place].set(cells.astype(pool.cell.dtype), mode="drop")
     count = pool.count + new.sum(dtype=pool.count.dtype)
-    cell = put(pool.cell, cells.astype(pool.cell.dtype))
-    return pool._replace(bands=jax.tree.map(put, pool.bands, fresh), cell=cell, count=count), place
+    borne = pool.stress.at[:, place].set(stress, mode="drop")
+    return Pool(records, cell, count, borne), place
 
 
 def effective_size(rule, normal, cell):

@@ -1,4 +1,4 @@
-"""The command line: `jaxmpm run | scenes | plot | verify | benchmark`."""
+"""The command line: `jaxmpm run | scenes | plot | verify | stability | benchmark`."""
 
 import argparse
 import json
@@ -76,6 +76,14 @@ def _parser() -> argparse.ArgumentParser:
     verify.add_argument("--json", metavar="FILE", help="write the table as JSON")
     verify.set_defaults(command=_verify)
 
+    stability = commands.add_parser("stability", help="map where methods for a crack fail")
+    stability.add_argument(
+        "--out", metavar="DIR", default="results/stability",
+        help="where to write (default: results/stability)",
+    )  # fmt: skip
+    stability.add_argument("--coarse", action="store_true", help="a quick map, float64 only")
+    stability.set_defaults(command=_stability)
+
     bench = commands.add_parser("benchmark", help="time a scene over cell sizes")
     bench.add_argument("scene", nargs="?", default="den", metavar="SCENE")
     bench.add_argument("--cells", type=float, nargs="+", default=[5.0, 2.5, 1.25], metavar="MM")
@@ -148,6 +156,14 @@ def _verify(options) -> int:
     if options.json:
         Path(options.json).write_text(json.dumps(checks, indent=1))
     return 0 if all(check["passed"] for check in checks) else STOPPED
+
+
+def _stability(options) -> int:
+    from jaxmpm import stability
+
+    summary = stability.run(options.out, options.coarse, show=print)
+    print(f"written to {options.out}: stability.png stability.csv stability.json")
+    return 0 if summary["passed"] else STOPPED
 
 
 def _benchmark(options) -> int:

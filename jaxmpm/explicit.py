@@ -44,9 +44,12 @@ def _step(model, prepared, state, dt):
     n = model.numerics
     strain = grid.strain(state.displacement, n.cell)
     elastic = intact_stress(prepared, state.intact, strain, n.size)
+    if not n.cracks:
+        force = grid.internal_force(elastic, n.cell, n.thickness)
+        return _move(model, prepared, state, force, dt)._replace(step=state.step + 1)
     flat = tuple(component.reshape(-1) for component in strain.mean)
     pool, failed = bands.solve(
-        state.pool, model.embedding, model.material.reshape(-1), flat, PRECISION
+        state.pool, model.embedding, model.material.reshape(-1), flat, n.size, PRECISION
     )
     stress = with_bands(elastic, state.place, pool.stress)
     force = grid.internal_force(stress, n.cell, n.thickness)
@@ -121,14 +124,15 @@ def _open(model, prepared, state, elastic, stress, strain):
     number = (critical @ jnp.ones(ratio.shape[1], ratio.dtype)).sum()
 
     def open_them(intact, place, pool):
-        chosen, cells = lax.top_k(ratio.reshape(-1), min(ROOM, ratio.size))
-        new = chosen >= 1
+        cells, new = most_critical(ratio, number)
         normal = normals(stress.mean, cells, n.normal_window)
         size = bands.effective_size(n.effective_size, normal, n.cell)
         laws = bands.at(model.embedding, model.material.reshape(-1)[cells])
         vectors = cell_strain_vectors(strain.mean, cells, n.size)
-        fresh = bands.over_bands(band_law.open_band)(laws, vectors, normal, size)
-        pool, places = bands.add(pool, fresh, cells, new)
+        fresh = band_law.open_band(laws, vectors, normal, size)
+        records = bands.unsolved(fresh, n.size)
+        borne = jnp.stack([component.reshape(-1)[cells] for component in stress.mean[:3]])
+        pool, places = bands.add(pool, records, cells, new, borne)
         index = jnp.where(new, cells, ratio.size)
         put = lambda field, value: (  # noqa: E731
             field.reshape(-1).at[index].set(value, mode="drop").reshape(field.shape)
@@ -138,6 +142,29 @@ def _open(model, prepared, state, elastic, stress, strain):
     parts = (state.intact, state.place, state.pool)
     intact, place, pool = lax.cond(number > 0, open_them, lambda *parts: parts, *parts)
     return state._replace(intact=intact, place=place, pool=pool)
+
+
+def most_critical(ratio, number):
+    """Flat indices (ROOM,) of the cells with the largest strength ratio, and which are meant.
+
+    One at a time by the largest of each row: few cells crack in one step, and sorting all of
+    them costs more than the step.
+    """
+    rows, columns = ratio.shape
+
+    def pick(k, carry):
+        ratio, largest, cells = carry
+        i = largest.argmax().astype(jnp.int32)
+        row = lax.dynamic_index_in_dim(ratio, i, keepdims=False)
+        j = row.argmax().astype(jnp.int32)
+        row = row.at[j].set(0.0)
+        ratio = lax.dynamic_update_index_in_dim(ratio, row, i, 0)
+        return ratio, largest.at[i].set(row.max()), cells.at[k].set(i * columns + j)
+
+    count = jnp.minimum(number, ROOM).astype(jnp.int32)
+    none = jnp.zeros((ROOM,), jnp.int32)
+    *_, cells = lax.fori_loop(0, count, pick, (ratio, ratio.max(1), none))
+    return cells, jnp.arange(ROOM) < count
 
 
 def normals(mean, cells, window):

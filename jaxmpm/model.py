@@ -40,6 +40,7 @@ class Numerics:
     size: int  # length of a strain vector
     effective_size: str  # rule for H
     normal_window: int  # cells over which the onset stress is averaged
+    cracks: bool  # some material has a band; without one nothing of bands is compiled
 
 
 @jax.tree_util.register_dataclass
@@ -142,8 +143,7 @@ def first_state(model, velocity, capacity=None):
 
 def empty_pool(model, capacity):
     """A pool of bands for this model, without bands."""
-    law = bands.at(model.embedding.law, 0)
-    return bands.empty_pool(law, capacity, model.numerics.size, model.free.dtype)
+    return bands.empty_pool(capacity, model.numerics.size, model.free.dtype)
 
 
 def cell_strain_vectors(mean, cells, size):
@@ -181,6 +181,7 @@ def from_layout(scene, layout):
             size=tensor.STRAIN_SIZE[scene.grid.stress_state],
             effective_size=scene.bands.effective_size,
             normal_window=scene.bands.normal_window,
+            cracks=any(material.band for material in materials),
         ),
     )
 
@@ -193,7 +194,7 @@ def _embedding(scene, materials, array):
     return Embedding(
         bulk=Elastic(*every([dict(m.bulk) for m in materials], ("E", "nu"))),
         law=Damage(*every(band, ("ft", "Ep", "n", "h"))),
-        release=array([scene.bands.release] * len(materials)),
+        release=array([scene.bands.release] * len(materials)) if scene.bands.release else None,
     )
 
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxmpm import bands, explicit, grid, tensor
+from jaxmpm import bands, explicit, grid
 from jaxmpm.laws import band as band_law
 from jaxmpm.model import cell_strain_vectors, fields
 
@@ -42,12 +42,12 @@ def read(model, state, dt) -> Reading:
     bend = sum(
         jnp.vdot(s, q) for s, q in zip(at.elastic.hourglass, at.strain.hourglass, strict=True)
     )
-    stored, dissipated = bands.over_bands(band_law.energies)(at.laws, state.pool.bands, at.vectors)
+    stored, dissipated = band_law.energies(at.laws, at.bands, at.vectors)
     total = lambda each: jnp.where(at.used, each, 0.0).sum()  # noqa: E731
     # work and velocities are half a step ahead of the stresses: bring the energy there too
     half_step = jnp.vdot(force, state.velocity) * dt / 2
     gradient = _gradient(at.displacement, n.cell) * state.intact
-    jump = jnp.where(at.used, jnp.hypot(*state.pool.bands.jump), 0.0)
+    jump = jnp.where(at.used, jnp.hypot(*at.bands.jump), 0.0)
     return Reading(
         time=(state.step - 1) * dt,
         gauges=_gauges(model, at.displacement, force, at.time),
@@ -78,13 +78,10 @@ class _Cells:
         self.used = jnp.arange(pool.cell.shape[0]) < pool.count
         self.laws = bands.at(model.embedding, model.material.reshape(-1)[pool.cell])
         self.vectors = cell_strain_vectors(self.strain.mean, pool.cell, n.size)
-        inside = bands.over_bands(_stress)(self.laws, pool.bands, self.vectors)
-        self.stress = explicit.with_bands(self.elastic, state.place, tensor.to_plane(inside))
-
-
-def _stress(embedding, band, strain):
-    inside = band_law.bulk_strain(embedding, band, strain, band.jump)
-    return band_law.bulk_stress(embedding, band, inside)
+        self.stress = explicit.with_bands(self.elastic, state.place, pool.stress)
+        flat = tuple(component.reshape(-1) for component in self.strain.mean)
+        material = model.material.reshape(-1)
+        self.bands = bands.current(pool, model.embedding, material, flat, n.size)
 
 
 def _gauges(model, displacement, internal, time):
@@ -114,16 +111,17 @@ def frame(model, state, dt) -> dict:
     pool = state.pool
     cells = jnp.where(at.used, pool.cell, state.intact.size)
 
+    _, integrity = at.laws.law.soften(at.bands.softening, at.laws.bulk)
+
     def put(values):
         flat = jnp.zeros((*values.shape[:-1], state.intact.size), values.dtype)
         flat = flat.at[..., cells].set(values, mode="drop")
         return flat.reshape(*values.shape[:-1], *state.intact.shape)
 
-    law = pool.bands.history
     return {
         "displacement": middle,
         "stress": jnp.stack(at.stress.mean),
-        "damage": put(-jnp.expm1(law.log_integrity)),
-        "opening": put((pool.bands.normal * pool.bands.jump).sum(0)),
-        "normal": put(pool.bands.normal),
+        "damage": put(1 - integrity),
+        "opening": put((at.bands.normal * at.bands.jump).sum(0)),
+        "normal": put(at.bands.normal),
     }

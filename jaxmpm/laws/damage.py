@@ -6,26 +6,17 @@ With s = 1 − D, effective stress σ̄ = a_L : ε_L, its positive part σ̄⁺ 
     r̂ (s + e sⁿ) = 1 + e sⁿ                      damage criterion at equality
     σ_L = s σ̄
 
-The history is the running maximum of r̂ and z = ln s. Not D: at 1 % of the strength 1 − D is
-about 4e-7 for ordinary concrete, which no float32 D can hold.
+The softening is p = −ln s. Not D: at 1 % of the strength 1 − D is about 4e-7 for ordinary
+concrete, which no float32 D can hold; and r̂ is a closed form of p, so that nothing is iterated.
 """
 
-from typing import NamedTuple
-
-import jax
 import jax.numpy as jnp
 from jax import lax
 
 from jaxmpm import tensor
 from jaxmpm.laws.law import law
 
-
-class DamageHistory(NamedTuple):
-    """History of one band; a pytree of scalars."""
-
-    ratio: jax.Array  # largest strength ratio r̂ so far, ≥ 1
-    log_integrity: jax.Array  # z = ln(1 − D)
-    dissipated: jax.Array  # energy dissipated so far per band volume, N/mm²
+SERIES = 40  # terms of the incomplete beta function; each halves what is left
 
 
 @law
@@ -37,11 +28,6 @@ class Damage:
     n: float  # exponent; the dissipation is finite for 0 < n < 1/2
     h: float  # width of the band, mm
 
-    def initial(self):
-        """History at onset: r̂ = 1, D = 0."""
-        one = jnp.ones_like(self.ft * 1.0)
-        return DamageHistory(one, jnp.zeros_like(one), jnp.zeros_like(one))
-
     def onset(self, stress, bulk):
         """Strength ratio r̂ of an effective stress (size,); a band opens where it reaches 1."""
         positive = jnp.maximum(tensor.principal_values(stress), 0.0)
@@ -50,81 +36,76 @@ class Damage:
         none = square <= 0
         return jnp.where(none, 0.0, jnp.sqrt(jnp.where(none, 1.0, square))) / self.ft
 
-    def respond(self, strain, history, bulk):
-        """Stress (size,), MPa, and new history for a band strain (size,)."""
-        effective = bulk.stress(strain)
-        trial = self.onset(effective, bulk)
-        ratio = jnp.where(trial > history.ratio, trial, history.ratio)
-        z = log_integrity(ratio, self.Ep / bulk.E, self.n, lax.stop_gradient(history.log_integrity))
-        # -ds times ½ ε : a_L : ε, which is f_t² r̂²/2E where nothing is compressed and more where
-        # something is. r̂ s changes slowly while r̂² and s race, so the product of the old ratio
-        # and the new integrates 1/s² exactly where the trapezoidal rule fails.
-        lost = jnp.exp(history.log_integrity) * -jnp.expm1(z - history.log_integrity)
-        energy = tensor.dot(strain, effective) / 2 * (history.ratio / ratio)
-        dissipated = history.dissipated + energy * lost
-        return jnp.exp(z) * effective, DamageHistory(ratio, z, dissipated)
+    def strain(self, inside):
+        """Strain in the band, Eq. 3 in total form, (size,)."""
+        size = len(inside.onset_strain)
+        opening = tensor.symmetric_product(inside.normal, inside.jump, size)
+        return inside.onset_strain + opening / self.h
 
-    def loads(self, strain, history, bulk):
-        """Whether a band strain (size,) takes the history further."""
-        return self.onset(bulk.stress(strain), bulk) > history.ratio
+    def effective(self, inside, bulk):
+        """Traction (dimension,), MPa, of the effective stress on the band, and its r̂."""
+        stress = bulk.stress(self.strain(inside))
+        return tensor.traction(stress, inside.normal), self.onset(stress, bulk)
 
-    def frozen(self, strain, history, bulk):
-        """Stress (size,), MPa, with the history held: the secant of unloading and reloading."""
-        return jnp.exp(history.log_integrity) * bulk.stress(strain)
+    def soften(self, softening, bulk):
+        """r̂ and integrity s at a softening p."""
+        integrity = jnp.exp(-softening)
+        power = self.Ep / bulk.E * jnp.exp(-self.n * softening)
+        return (1 + power) / (integrity + power), integrity
 
-    def cohesion(self, history):
-        """Traction that the band can carry over its strength, ψ = s r̂, from 1 to 0."""
-        return jnp.exp(history.log_integrity) * history.ratio
+    def stored(self, inside, integrity, closes, bulk):
+        """Elastic energy per area of the crack, h ½ s ε_L : a_L : ε_L, N/mm."""
+        strain = self.strain(inside)
+        stress = bulk.stress(strain)
+        energy = integrity * tensor.dot(strain, stress) / 2
+        if closes:
+            energy += (1 - integrity) * _closing(stress, inside, bulk)
+        return self.h * energy
 
-    def stored(self, strain, history, bulk):
-        """Elastic energy per band volume, ½ s ε_L : a_L : ε_L, N/mm²."""
-        return jnp.exp(history.log_integrity) * tensor.dot(strain, bulk.stress(strain)) / 2
+    def given_up(self, softening, bulk):
+        """Energy per area of the crack dissipated up to a softening, h ∫ F(D) dD, N/mm.
 
-    def dissipated(self, history):
-        """Energy dissipated so far per band volume, N/mm²."""
-        return history.dissipated
+        In closed form: with x = s^(1−n)/e and y = x/(1 + x) the integral of Eq. 13 over s is
+        [B_y(1 − m, 1 + m)/k + 2y + k B_y(1 + m, 1 − m)] / (1 − n), m = n/(1 − n), k = e^(1 + m),
+        with incomplete beta functions.
+        """
+        m = self.n / (1 - self.n) + 0 * softening
+        e = self.Ep / bulk.E
+        scale = jnp.exp((1 + m) * jnp.log(e))
+        now = jnp.exp(-(1 - self.n) * softening) / e
+        ends = jnp.stack(jnp.broadcast_arrays(1 / e, now))
+        y, rest = ends / (1 + ends), 1 / (1 + ends)
+        first, second = _beta(y, rest, jnp.stack(jnp.broadcast_arrays(-m, m))[:, None])
+        primitive = first / scale + 2 * y + scale * second
+        integral = (primitive[0] - primitive[1]) / (1 - self.n)
+        return self.h * self.ft**2 / (2 * bulk.E) * integral
 
     def largest_size(self, bulk):
         """H_max = h (1 + E/E_p), mm: beyond it the response of the point snaps back."""
         return self.h * (1 + bulk.E / self.Ep)
 
 
-def _criterion(z, ratio, e, n):
-    """g(z) = r̂ eᶻ + e (r̂ − 1) eⁿᶻ − 1 and its slope; its terms are of order one at the root."""
-    whole, power = ratio * jnp.exp(z), e * (ratio - 1) * jnp.exp(n * z)
-    return whole + power - 1, whole + n * power
+def _beta(y, rest, a):
+    """∫₀^y t^a (1 − t)^(−a) dt for |a| < 1, rest = 1 − y, by its series on the nearer side."""
+    near = y < 0.5
+    whole = jnp.where(a == 0, 1.0, jnp.pi * a / jnp.sin(jnp.pi * jnp.where(a == 0, 0.5, a)))
+    power = jnp.where(near, a, -a)
+    base = jnp.maximum(jnp.where(near, y, rest), jnp.finfo(jnp.result_type(y)).tiny)
+
+    def add(k, carry):
+        term, total = carry
+        return term * base * ((power + k) / (k + 1)), total + term / (power + 1 + k)
+
+    start = jnp.ones_like(base + power)
+    _, total = lax.fori_loop(0, SERIES, add, (start, 0 * start))
+    side = total * jnp.exp((power + 1) * jnp.log(base))
+    return jnp.where(near, side, whole - side)
 
 
-@jax.custom_jvp
-def log_integrity(ratio, e, n, start):
-    """The root z = ln(1 − D) of the damage criterion at strength ratio r̂ ≥ 1.
-
-    g is increasing and convex, so Newton from the right of the root converges without
-    overshooting: from −ln r̂, or from the last root `start`, whichever is smaller. The
-    derivative is that of the implicit function, whatever the iteration did.
-    """
-    tolerance = 8 * jnp.finfo(jnp.result_type(ratio)).eps
-
-    def iterate(carry):
-        z, _, count = carry
-        value, slope = _criterion(z, ratio, e, n)
-        return z - value / slope, jnp.abs(value) <= tolerance * (1 + jnp.abs(z)), count + 1
-
-    z = jnp.minimum(-jnp.log(ratio), start)
-    z, done, _ = lax.while_loop(
-        lambda carry: ~carry[1] & (carry[2] < 60), iterate, (z, jnp.zeros_like(z, bool), 0)
+def _closing(stress, inside, bulk):
+    """Energy per volume of the compression on the faces of a band, N/mm²."""
+    direct, *_ = bulk.coefficients(len(stress))
+    pressure = jnp.minimum(
+        tensor.dot(tensor.traction(stress, inside.normal), inside.normal), 0.0
     )
-    return jnp.where(done, jnp.minimum(z, 0.0), jnp.nan)
-
-
-@log_integrity.defjvp
-def _log_integrity_jvp(primals, tangents):
-    ratio, e, n, start = primals
-    z = log_integrity(ratio, e, n, start)
-    power = jnp.exp(n * z)
-    _, slope = _criterion(z, ratio, e, n)
-    by_ratio = jnp.exp(z) + e * power
-    by_e = (ratio - 1) * power
-    by_n = e * (ratio - 1) * z * power
-    change = by_ratio * tangents[0] + by_e * tangents[1] + by_n * tangents[2]
-    return z, -change / slope
+    return pressure**2 / (2 * direct)

@@ -1,0 +1,51 @@
+"""A second band across the first: two cracks in one point, each with its own energy."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from laws.bands_at_random import concrete
+
+from jaxmpm.laws import balance, crossing
+from jaxmpm.laws.band import energies, open_band
+
+ONE = jax.tree.map(lambda leaf: leaf[..., 0], concrete(1, nu=0.0))
+FIRST = jnp.array([1.0, 0.0, 0.0])
+ONSET = 3.0 / 32000.0
+H = 2.5
+respond = jax.jit(balance.respond)
+
+
+def crossed():
+    """A point pulled along x until it has cracked, then along y to the second onset."""
+    band = open_band(ONE, ONSET * FIRST, jnp.array([1.0, 0.0]), jnp.asarray(H))
+    strain = jnp.array([0.01, 0.0, 0.0])
+    band = respond(ONE, band, strain).band
+    # the band, h of H, keeps its strain along the crack: the bulk has the rest of it
+    strain = strain.at[1].set(ONSET * (1 - 0.05 / H))
+    ratio, normal = jax.jit(crossing.parallel_ratio)(ONE, band, strain)
+    np.testing.assert_allclose(np.abs(normal), [0, 1], atol=1e-12)
+    assert ratio == pytest.approx(1, rel=1e-9)
+    return band, strain * jnp.array([1.0, 1 + 1e-9, 1.0])
+
+
+def test_both_cracks_open_and_each_gives_its_fracture_energy():
+    band, strain = crossed()
+    outer, second = crossing.open_second(ONE, band, strain, jnp.asarray(H))
+    for along, across in ((0.01, 0.002), (0.01, 0.01), (0.05, 0.03), (2.0, 2.0)):
+        found = respond(outer, second, jnp.array([along, across, 0.0]))
+        assert found.status == balance.LOADS
+        second = found.band
+    assert float(jnp.abs(found.stress).max()) < 1e-3 * 3.0
+    _, dissipated = energies(outer, second, jnp.array([2.0, 2.0, 0.0]))
+    assert float(dissipated) * H == pytest.approx(2 * 0.110036, rel=0.03)
+
+
+def test_without_pull_along_it_the_second_band_rests_and_hardly_matters():
+    """It keeps its strain at onset, which the rest of the point makes up for: a share h/H."""
+    band, strain = crossed()
+    outer, second = crossing.open_second(ONE, band, strain, jnp.asarray(H))
+    aside = jnp.array([0.02, 0.3 * ONSET, 0.0])
+    alone, both = respond(ONE, band, aside), respond(outer, second, aside)
+    np.testing.assert_allclose(both.stress, alone.stress, rtol=0.05 / H, atol=1e-8)
+    assert both.status == balance.RESTS
