@@ -103,12 +103,6 @@ def inside(band, jump):
     return Inside(jump, band.onset_strain, band.normal)
 
 
-def band_strain(embedding, band, jump):
-    """Strain in the band, Eq. 3 in total form, (size,)."""
-    opening = tensor.symmetric_product(band.normal, jump, len(band.onset_strain))
-    return _onset(band) + opening / embedding.law.h
-
-
 def bulk_strain(embedding, band, strain, jump):
     """Strain in the bulk, Eq. 2, (size,)."""
     fraction = embedding.law.h / band.size
