@@ -93,6 +93,12 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _keep_compiled():
+    from jaxmpm.compilation import keep_compiled
+
+    keep_compiled()
+
+
 def _run(options) -> int:
     from jaxmpm.scene import load_scene
 
@@ -100,6 +106,7 @@ def _run(options) -> int:
     directory = Path(options.out or Path("results") / scene.name)
     from jaxmpm.run import run_scene
 
+    _keep_compiled()
     summary = run_scene(scene, directory, options.resume, progress=not options.quiet)
     if not options.quiet:
         print(report(summary, directory))
@@ -150,6 +157,7 @@ def _plot(options) -> int:
 
 
 def _verify(options) -> int:
+    _keep_compiled()
     from jaxmpm import verify
 
     checks = verify.run(options.checks, angle=options.angle, cell=options.cell, show=print)
@@ -159,6 +167,7 @@ def _verify(options) -> int:
 
 
 def _stability(options) -> int:
+    _keep_compiled()
     from jaxmpm import stability
 
     summary = stability.run(options.out, options.coarse, show=print)

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmpm import bands, explicit, model as models, observe, results
+from jaxmpm import bands, compilation, explicit, model as models, observe, results
 from jaxmpm.errors import RunError
 from jaxmpm.layout import lay_out
 from jaxmpm.progress import Progress
@@ -61,7 +61,7 @@ class Simulation:
             began = clock.perf_counter()
             extra = (jnp.int32(0),) if function is explicit.advance else ()
             lowered = function.lower(self.model, self.state, self._dt(), *extra)
-            self._compiled[function, capacity] = _compile(lowered)
+            self._compiled[function, capacity] = compilation.compiled(lowered)
             self.compile_seconds += clock.perf_counter() - began
         return self._compiled[function, capacity]
 
@@ -156,17 +156,6 @@ class Simulation:
                 f"solver.energy_error_limit = {solver.energy_error_limit:g}: lower "
                 f"solver.time_step_factor (now {solver.time_step_factor:g}) or load more slowly"
             )
-
-
-def _compile(lowered):
-    """Compile; on CPUs without XLA's newer code generator, which takes half as long again."""
-    if jax.default_backend() == "cpu":
-        try:
-            return lowered.compile(compiler_options={"xla_cpu_use_fusion_emitters": False})
-        except Exception as error:  # a later XLA may no longer know the option
-            if "No such compile option" not in str(error):
-                raise
-    return lowered.compile()
 
 
 def energy_error(reading, floor: float = 0.0) -> float:

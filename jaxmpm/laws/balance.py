@@ -40,7 +40,7 @@ class Solution(NamedTuple):
     """What balances the tractions at a macroscopic strain."""
 
     unknowns: jax.Array  # jump and softening (dimension + 1,)
-    free: jax.Array  # energy that a jump of equilibrium set free, N/mm² of the cell
+    fall: jax.Array  # where equilibrium jumped: fall of the energies over the jump, N/mm²
     status: jax.Array  # RESTS, LOADS, JUMPS or FAILS
 
 
@@ -78,9 +78,11 @@ def _settled(embedding, band, strain, found):
     jump, softening = found.unknowns[:-1], found.unknowns[-1]
     reached = bands.answer(embedding, band, strain, jump, softening)
     moved = band._replace(jump=jump, softening=softening, bulk=reached.bulk)
-    moved = moved._replace(spent=band.spent + _spent(embedding, band, moved))
+    spent = _spent(embedding, band, moved)
     released = _softened_bulk(embedding, band, moved, strain, reached.bulk_stress)
-    moved = moved._replace(released=band.released + released + found.free)
+    free = found.fall - lax.stop_gradient(spent / band.size + released)
+    released += jnp.where(found.status == JUMPS, jnp.maximum(free, 0.0), 0.0)
+    moved = moved._replace(spent=band.spent + spent, released=band.released + released)
     failed = found.status == FAILS
     return Response(moved, jnp.where(failed, jnp.nan, reached.stress), found.status)
 
@@ -141,18 +143,20 @@ def _softened_bulk(embedding, band, moved, strain, stress):
     return (1 - fraction) * tensor.dot(stress - after, outside) / 2
 
 
-def _come_free(embedding, band, strain, jump, reached, softening):
-    """Energy (N/mm²) that is neither stored nor dissipated as a band softens at fixed strain.
+def _fall(embedding, band, strain, held, jump, softening):
+    """Fall of stored and dissipated energy, N/mm², as a band softens at fixed strain.
 
-    `jump` balances the last softening, `reached` the new one.
+    `held` balances the last softening, `jump` the new one.
     """
-    moved = band._replace(jump=reached, softening=softening)
-    moved = moved._replace(spent=band.spent + _spent(embedding, band, moved))
-    outside = bands.bulk_strain(embedding, band, strain, reached)
-    stress, _ = bands.bulk_stress(embedding, band, outside)
-    before = bands.energies(embedding, band._replace(jump=jump), strain)
-    after = bands.energies(embedding, moved, strain)
-    return sum(before) - sum(after) - _softened_bulk(embedding, band, moved, strain, stress)
+    before, after = (held, band.softening), (jump, softening)
+    both = jax.tree.map(lambda *pair: jnp.stack(pair), before, after)
+
+    def total(state):
+        jump, softening = state
+        return sum(bands.energies(embedding, band._replace(jump=jump, softening=softening), strain))
+
+    totals = jax.vmap(total)(both)
+    return totals[0] - totals[1]
 
 
 # ------------------------------------------------------------------ the unknowns
@@ -210,7 +214,7 @@ def _solve_jvp(precision, primals, tangents):
     change = jnp.where(loads, change, tangents[1].softening)
     by_unknowns = jnp.concatenate([-first - parts.by_softening * change, change[None]])
     no_status = np.zeros(found.status.shape, jax.dtypes.float0)
-    return found, Solution(by_unknowns, jnp.zeros_like(found.free), no_status)
+    return found, Solution(by_unknowns, jnp.zeros_like(found.fall), no_status)
 
 
 class _Parts(NamedTuple):
@@ -393,7 +397,6 @@ def _search(embedding, band, strain, precision, found, settled):
     unknowns = jnp.concatenate([walk.jump, walk.softening[None]])
     status = jnp.where(walk.rests, RESTS, jnp.where(walk.jumps, JUMPS, LOADS))
     status = jnp.where(walk.settled, status, FAILS).astype(jnp.int32)
-    free = _come_free(embedding, band, strain, walk.held, walk.jump, walk.softening)
-    free = jnp.where(status == JUMPS, jnp.maximum(free, 0.0), 0.0)
-    searched = Solution(unknowns, free, status)
+    fall = _fall(embedding, band, strain, walk.held, walk.jump, walk.softening)
+    searched = Solution(unknowns, fall, status)
     return jax.tree.map(lambda old, new: jnp.where(settled, old, new), found, searched)
