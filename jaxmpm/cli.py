@@ -84,8 +84,11 @@ def _parser() -> argparse.ArgumentParser:
     stability.add_argument("--coarse", action="store_true", help="a quick map, float64 only")
     stability.set_defaults(command=_stability)
 
-    bench = commands.add_parser("benchmark", help="time a scene over cell sizes")
-    bench.add_argument("scene", nargs="?", default="den", metavar="SCENE")
+    bench = commands.add_parser("benchmark", help="time a scene over cell sizes, or points alone")
+    bench.add_argument(
+        "scene", nargs="?", default="den", metavar="SCENE",
+        help='a scene, or "points" for the update of cracked points alone',
+    )  # fmt: skip
     bench.add_argument("--cells", type=float, nargs="+", default=[5.0, 2.5, 1.25], metavar="MM")
     bench.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="overrides")
     bench.add_argument("--json", metavar="FILE", help="write the table as JSON")
@@ -178,7 +181,10 @@ def _stability(options) -> int:
 def _benchmark(options) -> int:
     from jaxmpm import benchmark
 
-    rows = benchmark.run(options.scene, options.cells, options.overrides, show=print)
+    if options.scene == "points":
+        rows = benchmark.points(show=print)
+    else:
+        rows = benchmark.run(options.scene, options.cells, options.overrides, show=print)
     if options.json:
         Path(options.json).write_text(json.dumps(rows, indent=1))
     return 0
