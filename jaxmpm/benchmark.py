@@ -26,17 +26,17 @@ REPEATS = 5  # the best of so many counts
 STATES = {"plane_stress": 3, "plane_strain": 4, "solid": 6}
 
 
-def points(count: int = POINTS, show: Callable[[str], None] | None = None) -> list[dict]:
+def points(show: Callable[[str], None] | None = None) -> list[dict]:
     """Time the update of cracked points whose bands all load, float64, 1e-11 of the strength.
 
     Returns a row of million points per second for each stress state and strain increment:
     `update` (stress, new state, energies, status) and `tangent` (the same and the consistent
     tangent).
     """
-    rows = []
+    rows, count = [], POINTS
     if show:
         show(f"{count} cracked points, all loading, M points/s")
-        show(f"{'':14}{'increment':>10}{'update':>10}{'with tangent':>14}{'tangent only costs':>20}")
+        show(f"{'':14}{'increment':>10}{'update':>10}{'with tangent':>14}{'tangent costs':>20}")
     for name, size in STATES.items():
         embedding, band, strain = _loading(count, size)
         update, tangent = (

@@ -4,8 +4,7 @@ import json
 import subprocess
 import sys
 
-
-from jaxmpm import cli
+from jaxmpm import benchmark, cli
 
 
 def run(*arguments):
@@ -23,6 +22,16 @@ def test_run_writes_and_reports(tmp_path, capsys):
     assert 265.0 < summary["peak_load"] < 292.0  # coarse samples may miss the tip
     assert run("plot", tmp_path, "--deformed", 50) == 0
     assert (tmp_path / "deformed.png").stat().st_size > 500
+
+
+def test_points_are_timed(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(benchmark, "STATES", {"plane_stress": 3})
+    monkeypatch.setattr(benchmark, "POINTS", 512)
+    assert run("benchmark", "points", "--json", tmp_path / "points.json") == 0
+    rows = json.loads((tmp_path / "points.json").read_text())
+    assert [row["increment"] for row in rows] == list(benchmark.INCREMENTS)
+    assert all(row["update"] > 0 and row["tangent"] > 0 for row in rows)
+    assert "plane_stress" in capsys.readouterr().out
 
 
 def test_bad_input_is_one_line_and_status_2(capsys):

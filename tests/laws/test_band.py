@@ -124,6 +124,21 @@ def test_derivatives_are_those_of_central_differences(kind, size):
         assert np.median(errors / exact.max(0)) < 1e-8, regime
 
 
+@pytest.mark.parametrize("kind, size", [("damage", 3), ("released", 3), ("damage", 6)])
+def test_the_tangent_of_a_step_is_the_derivative_of_its_stress(kind, size):
+    with_tangent = jax.jit(balance.respond_with_tangent)
+    _, forward = directional(kind)
+    for regime in REGIMES:
+        embedding, band, ask = states_of(kind, size, regime)
+        found, tangent = with_tangent(embedding, band, ask)
+        np.testing.assert_allclose(found.stress, respond(embedding, band, ask, 1e-11).stress, atol=1e-9)
+        variables, *rest = arguments(kind, size, regime)
+        for k in range(size):
+            column = forward(variables, jnp.zeros_like(variables).at[k].set(1.0), *rest)
+            scale = np.asarray(embedding.bulk.E)
+            np.testing.assert_allclose(tangent[:, k] / scale, column / scale, rtol=0, atol=1e-9)
+
+
 @pytest.mark.parametrize("kind, size", [("damage", 3), ("hordijk", 3)])
 def test_reverse_differentiation_says_the_same(kind, size):
     _, forward = directional(kind)
