@@ -11,12 +11,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxmpm import bands, compilation, explicit, model as models, observe, results
-from jaxmpm.errors import RunError
+from jaxmpm.errors import RunError, SceneError, written
 from jaxmpm.layout import lay_out
 from jaxmpm.progress import Progress
 from jaxmpm.scene import Scene
 from jaxmpm.vtkhdf import PointCloudWriter
 
+MOST_STEPS = 2**31 - 2  # steps are counted in 32 bits
 CHECKPOINT_SECONDS = 10.0  # wall time between restart files
 FRAME_FIELDS = {
     "displacement": 3, "stress": 3, "damage": 1, "opening": 1, "normal": 3, "material": 1,
@@ -49,9 +50,17 @@ class Simulation:
         layout = lay_out(scene)
         model = models.from_layout(scene, layout)
         stable = float(models.stable_time_step(model))
-        steps = int(np.ceil(scene.solver.duration / (stable * scene.solver.time_step_factor)))
+        duration = scene.solver.duration
+        steps = np.ceil(duration / (stable * scene.solver.time_step_factor))
+        if not steps < MOST_STEPS:
+            raise SceneError(
+                f"solver.duration = {written(duration)}: expected less than "
+                f"{stable * scene.solver.time_step_factor * MOST_STEPS:.3g} s, {MOST_STEPS} steps "
+                f"(the stable time step is {stable:.3g} s: load faster, or use larger cells)"
+            )
+        steps = int(steps)
         state = models.first_state(model, layout.velocity)
-        dt = scene.solver.duration / steps
+        dt = duration / steps
         return cls(scene, layout, model, state, dt, stable, steps + 1)
 
     def compiled(self, function):

@@ -5,6 +5,8 @@ import subprocess
 import sys
 import tempfile
 
+import pytest
+
 _kept = tempfile.TemporaryDirectory(prefix="jaxmpm-tests-")
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", _kept.name)  # before JAX is imported
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
@@ -18,3 +20,11 @@ _probe = subprocess.run(  # an XLA that does not know a flag ends the process
 )
 if _probe.returncode == 0:
     os.environ["XLA_FLAGS"] = _flags
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _forget_what_was_compiled():
+    """Programs of one file are of no use to the next, and they add up to gigabytes."""
+    yield
+    if "jax" in sys.modules:
+        sys.modules["jax"].clear_caches()

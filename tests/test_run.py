@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from jaxmpm import results, vtkhdf
-from jaxmpm.errors import RunError
-from jaxmpm.run import run_scene
+from jaxmpm.errors import RunError, SceneError
+from jaxmpm.run import Simulation, run_scene
 from jaxmpm.scene import load_scene
 
 DEN = ["grid.cell=5", "output.samples=60", "output.frames=4"]
@@ -140,3 +140,8 @@ def test_an_unstable_run_stops_on_numbers_that_are_not_finite(tmp_path, monkeypa
     with pytest.raises(RunError):
         run_scene(load_scene("bar", BAR), tmp_path, progress=False)
     assert results.read_summary(tmp_path)["status"].startswith("stopped: ")
+
+
+def test_more_steps_than_can_be_counted_are_refused():
+    with pytest.raises(SceneError, match=r"solver\.duration = 1000000.0: expected less than"):
+        Simulation.of(load_scene("bar", ["solver.duration=1e6"]))
