@@ -64,10 +64,9 @@ def test_the_project_is_right_whatever_size_and_increment(rows):
     assert all(row["traction_left"] < 1e-3 for row in ours)
 
 
-def test_the_project_converges_in_single_precision():
+def test_the_project_is_right_in_single_precision_too():
     rows = stability.cells(coarse=True, methods=("balance",), precisions=("float32",))
-    assert verdicts(rows) <= {"right", "drifts", "wrong"}
-    assert verdicts(where(rows, "balance", below=1.0, up_to=10.0)) == {"right"}
+    assert verdicts(rows) == {"right"}
 
 
 def test_the_rate_form_drifts_with_the_increment(rows):
