@@ -24,7 +24,7 @@ CASES = pytest.mark.parametrize(
     "kind, size",
     [
         ("damage", 3), ("damage", 4), ("damage", 6), ("released", 3), ("closing", 3),
-        ("hordijk", 3),
+        ("viscous", 3), ("hordijk", 3), ("hordijk", 4),
     ],
 )  # fmt: skip
 REGIMES = ["onset", "loading", "unloading", "sheared", "damaged"]
