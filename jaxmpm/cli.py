@@ -110,6 +110,8 @@ def _run(options) -> int:
     from jaxmpm.run import run_scene
 
     _keep_compiled()
+    if options.resume and not (directory / "restart.h5").exists():
+        print(f"jaxmpm: nothing to resume in {directory}: the run begins anew", file=sys.stderr)
     summary = run_scene(scene, directory, options.resume, progress=not options.quiet)
     if not options.quiet:
         print(report(summary, directory))

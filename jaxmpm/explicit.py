@@ -130,6 +130,10 @@ def _open(model, prepared, state, elastic, stress, strain):
         laws = bands.at(model.embedding, model.material.reshape(-1)[cells])
         vectors = cell_strain_vectors(strain.mean, cells, n.size)
         fresh = band_law.open_band(laws, vectors, normal, size)
+        # a band answers the mean strain alone: the energy of the hourglass modes is given up
+        modes = zip(elastic.hourglass, strain.hourglass, strict=True)
+        bent = sum(force.reshape(-1)[cells] * q.reshape(-1)[cells] for force, q in modes)
+        fresh = fresh._replace(released=bent / (2 * n.cell**2))
         records = bands.unsolved(fresh, n.size)
         borne = jnp.stack([component.reshape(-1)[cells] for component in stress.mean[:3]])
         pool, places = bands.add(pool, records, cells, new, borne)

@@ -167,6 +167,25 @@ class Simulation:
             )
 
 
+def _difference(before, now, path=""):
+    """The first key in which two scenes differ, and both its values, for a message."""
+    if type(before) is type(now) and isinstance(now, dict | list) and before != now:
+        keys = [*before, *now] if isinstance(now, dict) else range(max(len(before), len(now)))
+        absent = "absent"
+        for key in keys:
+            pair = [_item(tree, key, absent) for tree in (before, now)]
+            if pair[0] != pair[1]:
+                return _difference(*pair, f"{path}.{key}" if path else str(key))
+    return f"{path} was {written(before)} and is {written(now)}"
+
+
+def _item(tree, key, absent):
+    try:
+        return tree[key]
+    except (KeyError, IndexError):
+        return absent
+
+
 def energy_error(reading, floor: float = 0.0) -> float:
     """Relative error of the balance: work = stored + kinetic + dissipated + damping.
 
@@ -312,10 +331,12 @@ class Recorder:
 
     def _restore(self, path):
         arrays, meta = results.load_restart(path)
-        if meta["scene"] != json.loads(json.dumps(self.scene.to_dict())):
+        now = json.loads(json.dumps(self.scene.to_dict()))
+        if meta["scene"] != now:
             raise results.ResultError(
-                f"{path}: the scene differs from the one that was interrupted; run it with the "
-                "same scene and --set, or without --resume to start anew"
+                f"{path}: the scene differs from the one that was interrupted "
+                f"({_difference(meta['scene'], now)}); run it with the same scene and --set, or "
+                "without --resume to start anew"
             )
         leaves, tree = jax.tree_util.tree_flatten_with_path(self.sim.state)
         names = [_name(path) for path, _ in leaves]
