@@ -130,13 +130,17 @@ def bulk_stress(embedding, band, strain):
     return released_stress(embedding.bulk, strain, band.normal, keep), band.bulk
 
 
-def pulls(embedding, band, strain, jump):
-    """Both laws at a trial jump (dimension,): `Pulls`."""
+def pulls(embedding, band, strain, jump, closed=None):
+    """Both laws at a trial jump (dimension,): `Pulls`.
+
+    Whether the faces of a closing band are `closed` can be said; else it follows from the jump.
+    """
     stress, history = bulk_stress(embedding, band, bulk_strain(embedding, band, strain, jump))
     cohesive, drive = embedding.law.effective(inside(band, jump), embedding.bulk.elastic)
     outside = tensor.traction(stress, band.normal)
     if embedding.closes:
-        pressed = jnp.minimum(tensor.dot(cohesive, band.normal), 0.0) * band.normal
+        direct = tensor.dot(cohesive, band.normal)
+        pressed = jnp.where(direct < 0 if closed is None else closed, direct, 0.0) * band.normal
         outside, cohesive = outside - pressed, cohesive - pressed
     if embedding.drag is not None:
         outside -= embedding.drag * (jump - band.jump)
@@ -149,14 +153,14 @@ def gap(drive, ratio):
     return jnp.where(none, -1.0, jnp.log(jnp.where(none, 1.0, drive))) - jnp.log(ratio)
 
 
-def answer(embedding, band, strain, jump, softening):
-    """Both laws at a trial jump (dimension,) and softening: `Answer`.
+def answer(embedding, band, strain, jump, softening, closed=None):
+    """Both laws at a trial jump (dimension,) and softening: `Answer`; `closed` as in `pulls`.
 
     The macroscopic stress is that of the bulk with the traction of the band. The two agree but
     for round-off; next to nothing in the traction of a nearly broken band it is much in the
     stress of the bulk, where it is what large terms leave over.
     """
-    pull = pulls(embedding, band, strain, jump)
+    pull = pulls(embedding, band, strain, jump, closed)
     ratio, integrity = embedding.law.soften(softening, embedding.bulk.elastic)
     rest = pull.outside - integrity * pull.cohesive
     carried = tensor.traction(pull.stress, band.normal) - rest

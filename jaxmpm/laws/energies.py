@@ -1,0 +1,99 @@
+"""What a step of a band gives up besides what its softening curve says, and what a jump sets free."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from jaxmpm import tensor
+from jaxmpm.laws import band as bands
+from jaxmpm.laws.equilibrium import JUMPS
+
+
+def booked(embedding, band, moved, strain, stress, found):
+    """The state `moved` to, with the energies of the step from `band` in its books.
+
+    Args:
+        embedding: the laws.
+        band, moved: state before the step and after.
+        strain: macroscopic strain after it (size,).
+        stress: of the bulk (size,), MPa.
+        found: the `Solution` that it moved to.
+    """
+    spent = _spent(embedding, band, moved)
+    released = _softened_bulk(embedding, band, moved, strain, stress)
+    free = found.fall - lax.stop_gradient(spent / band.size + released)
+    released += jnp.where(found.status == JUMPS, jnp.maximum(free, 0.0), 0.0)
+    return moved._replace(spent=band.spent + spent, released=band.released + released)
+
+
+def _spent(embedding, band, moved):
+    """Energy given up in a step besides what the softening curve says, N/mm of crack area.
+
+    Damage lets go of compression too, in proportion to the tension; and a viscous band resists.
+    """
+    given = _given_up(embedding, band.softening, moved.softening)
+    spent = _compressed(embedding, moved) * given
+    if embedding.drag is not None:
+        move = moved.jump - band.jump
+        spent += embedding.drag * tensor.dot(move, move)
+    return spent
+
+
+def _given_up(embedding, before, after):
+    """∫ of the tension's energy over the integrity that is lost, N/mm, by Gauss's rule."""
+    law, elastic = embedding.law, embedding.bulk.elastic
+    total = 0.0 * before
+    for node, weight in zip(*_GAUSS, strict=True):
+        at = before + (1 + node) / 2 * (after - before)
+        soften = lambda p: law.soften(p, elastic)  # noqa: E731
+        (ratio, _), (_, fall) = jax.jvp(soften, (at,), (jnp.ones_like(at),))
+        total -= weight / 2 * ratio * ratio * fall
+    return law.h * law.ft**2 / (2 * elastic.E) * total * (after - before)
+
+
+_GAUSS = [rule.tolist() for rule in np.polynomial.legendre.leggauss(4)]
+
+
+def _compressed(embedding, band):
+    """Energy that goes with the integrity of a band over that of tension alone, less one.
+
+    Of a band that loads; one at rest may have no tension at all.
+    """
+    law, elastic = embedding.law, embedding.bulk.elastic
+    here = bands.inside(band, band.jump)
+    one = jnp.ones_like(band.softening)
+    scaled = law.stored(here, one, embedding.closes, elastic)
+    scaled -= law.stored(here, 0 * one, embedding.closes, elastic)
+    _, drive = law.effective(here, elastic)
+    tension = law.h * (law.ft * drive) ** 2 / (2 * elastic.E)
+    pulled = tension > 0
+    excess = jnp.where(pulled, scaled / jnp.where(pulled, tension, 1.0) - 1, 0.0)
+    slack = 64 * jnp.finfo(excess.dtype).eps  # nothing but round-off
+    return jnp.where(excess > slack, excess, 0.0)
+
+
+def _softened_bulk(embedding, band, moved, strain, stress):
+    """Energy given up by the release of crack-parallel stress at fixed strain, N/mm²."""
+    if embedding.release is None:
+        return 0.0
+    outside = bands.bulk_strain(embedding, band, strain, moved.jump)
+    fraction = embedding.law.h / band.size
+    after, _ = bands.bulk_stress(embedding, moved, outside)
+    return (1 - fraction) * tensor.dot(stress - after, outside) / 2
+
+
+def fall(embedding, band, strain, held, jump, softening):
+    """Fall of stored and dissipated energy, N/mm², as a band softens at fixed strain.
+
+    `held` balances the last softening, `jump` the new one.
+    """
+    before, after = (held, band.softening), (jump, softening)
+    both = jax.tree.map(lambda *pair: jnp.stack(pair), before, after)
+
+    def total(state):
+        jump, softening = state
+        return sum(bands.energies(embedding, band._replace(jump=jump, softening=softening), strain))
+
+    totals = jax.vmap(total)(both)
+    return totals[0] - totals[1]
