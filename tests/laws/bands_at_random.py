@@ -4,6 +4,8 @@ Points lie along the last axis of every array; compiling is what costs time here
 asks for batches of one size.
 """
 
+from functools import cache
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,10 +16,12 @@ from jaxmpm.laws.band import Embedding, open_band
 from jaxmpm.laws.cohesive import Cohesive
 from jaxmpm.laws.damage import Damage
 from jaxmpm.laws.elastic import Elastic
+from jaxmpm.laws.j2 import J2
 
 COUNT = 512
 CONCRETE = {"E": 32000.0, "nu": 0.2, "ft": 3.0, "Ep": 8.184, "n": 0.128, "h": 0.05}
-LAWS = ["damage", "released", "closing", "viscous", "hordijk"]  # and the other cohesive curves
+LAWS = ["damage", "released", "closing", "viscous", "plastic", "hordijk"]  # and other curves
+REGIMES = ["onset", "loading", "unloading", "sheared", "damaged"]
 
 respond = jax.jit(balance.respond, static_argnums=3)
 
@@ -33,6 +37,8 @@ def embedded(kind, E, nu, ft, Ep, n, h):
     """An embedding of one of the kinds of `LAWS` from arrays of parameters."""
     bulk = Elastic(E, nu)
     damage = Damage(ft, Ep, n, h)
+    if kind == "plastic":  # yields at half to three times the strength, and hardens more or less
+        return Embedding(J2(E, nu, (25 * n - 2) * ft, 1e-4 * Ep * E), damage)
     if kind in ("damage", "released", "closing", "viscous"):
         return Embedding(
             bulk,
@@ -62,16 +68,19 @@ def random_points(rng, size, kind="damage", tilt=0.0, largest=20.0, share=0.5, n
     stress[0] = np.abs(stress[0]) + 0.3  # some tension everywhere
     for k in range(1, tensor.NORMALS[size]):
         stress[k] = np.maximum(stress[k], -stress[0])
-    ratio = embedding.law.onset(jnp.asarray(stress), embedding.bulk)
-    strain = embedding.bulk.strain(jnp.asarray(stress) / ratio)
-    normal = np.asarray(tensor.first_principal_direction(embedding.bulk.stress(strain)))
+    bulk = embedding.bulk.elastic
+    ratio = embedding.law.onset(jnp.asarray(stress), bulk)
+    strain = bulk.strain(jnp.asarray(stress) / ratio)
+    normal = np.asarray(tensor.first_principal_direction(bulk.stress(strain)))
     if tilt:
         normal = normal + np.tan(tilt) * rng.uniform(-1, 1, normal.shape)
         normal /= np.linalg.norm(normal, axis=0)
     H = np.exp(rng.uniform(np.log(0.25), np.log(largest), count))
-    most = np.asarray(embedding.law.largest_size(embedding.bulk)) * share
+    most = np.asarray(embedding.law.largest_size(bulk)) * share
     H = np.maximum(np.minimum(H, most), 1.001 * parameters["h"])
-    return embedding, open_band(embedding, strain, jnp.asarray(normal), jnp.asarray(H))
+    history = embedding.bulk.initial(size)
+    band = open_band(embedding, strain, jnp.asarray(normal), jnp.asarray(H), history)
+    return embedding, band
 
 
 def opened(band, opening, spare=0.0):
@@ -89,6 +98,31 @@ def follow(embedding, band, path, precision=1e-11):
         answers.append(respond(embedding, band, strain, precision))
         band = answers[-1].band
     return band, answers
+
+
+@cache
+def states_of(kind, size, regime):
+    """Random states of a regime: embedding, state before and strain asked for."""
+    rng = np.random.default_rng([size, REGIMES.index(regime)])
+    embedding, band = random_points(rng, size, kind, largest=5.0)
+    law = embedding.law
+    # an opening that takes a good part of the strength
+    unit = law.h * law.ft / law.Ep if hasattr(law, "Ep") else law.GF / law.ft / 3
+    across = tensor.in_the_plane_of(band.normal)
+    side = across[0] if across else 0 * band.normal
+    ask = lambda a, b, spare: opened(band, unit * (a * band.normal + b * side), spare)  # noqa: E731
+    if regime == "onset":
+        return embedding, band, ask(rng.uniform(0.003, 0.03, COUNT), 0.0, 0.02)
+    last = {"damaged": 10 ** rng.uniform(0.7, 0.9, COUNT)}.get(regime, 10 ** rng.uniform(-1.3, 0.4, COUNT))
+    turn = rng.uniform(0.05, 0.4, COUNT) * last if regime == "sheared" else 0.01 * last
+    path = [ask(k * last, 0.0, 0.0) for k in np.geomspace(5e-3, 0.7, 8)]
+    path += [ask(0.85 * last, turn / 2, 0.1)]
+    band, answers = follow(embedding, band, path)
+    assert all((np.asarray(a.status) != balance.FAILS).all() for a in answers)
+    end = ask(last, turn, 0.2)
+    if regime == "unloading":
+        end = path[-1] * rng.uniform(0.2, 0.9, COUNT)
+    return embedding, band, end
 
 
 def uniaxial(s, E, ft, Ep, n, h, **_):

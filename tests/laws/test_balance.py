@@ -92,12 +92,16 @@ def test_float32_follows_float64_to_a_hundredth_of_the_strength():
 # ------------------------------------------------------------------ it never fails
 
 
-@pytest.mark.parametrize("kind", ["damage", "closing", "hordijk"])
+@pytest.mark.parametrize("kind", ["damage", "closing", "plastic", "hordijk"])
 def test_every_state_balances(kind):
-    """Any normal, size, direction and step: 0.001 to 1000 onset strains, up to 20 H_max."""
+    """A hundred thousand states, a quarter each, with any normal, size, direction and step.
+
+    0.001 to 1000 onset strains at once, sizes from h to 20 H_max, Poisson's ratio up to 1/2.
+    """
     rng = np.random.default_rng(LAWS.index(kind))
-    wrong = total = 0
-    for size, share, rounds in ((3, 20.0, 13), (4, 0.9, 2)):
+    at = jax.jit(answer)
+    total = jumps = 0
+    for size, share, rounds in ((3, 20.0, 15), (4, 0.9, 2)):
         for _ in range(rounds):
             tilt, nu = rng.choice([0.0, 0.3, 1.3]), [(0.0, 0.35), (0.49, 0.4999)][rng.integers(2)]
             embedding, band = random_points(rng, size, kind, tilt, 1e4, share, nu)
@@ -110,19 +114,19 @@ def test_every_state_balances(kind):
                 way *= 10 ** rng.uniform(-3, 3, COUNT) / np.linalg.norm(way, axis=0)
                 ask = ask + way * scale
                 found = respond(embedding, band, jnp.asarray(ask), 1e-11)
-                total += COUNT
-                wrong += (np.asarray(found.status) == balance.FAILS).sum()
-                assert np.isfinite(found.stress).all()
-                reached = answer(embedding, band, ask, found.band.jump, found.band.softening)
+                status = np.asarray(found.status)
+                assert (status != balance.FAILS).all() and np.isfinite(found.stress).all()
+                reached = at(embedding, band, ask, found.band.jump, found.band.softening)
                 limit = balance.tolerance(embedding, band, ask, found.band.jump, 1e-11)
                 assert (np.abs(reached.out_of_balance).max(0) <= 2 * limit).all()
-                assert (found.band.softening >= band.softening).all()
-                loads = np.asarray(found.band.softening > band.softening)
-                gap = np.asarray(reached.gap)
-                # the softening is known to round-off, which a steep gap shows enlarged
-                assert (gap <= 1e-10 * (1 + np.asarray(found.band.softening)))[~loads].all()
-                band = found.band
-    assert wrong == 0 and total > 20000
+                # a band that rests is not driven on, one that loads is driven just so far (a steep gap
+                # shows the round-off of the softening enlarged)
+                p, gap = np.asarray(found.band.softening), np.asarray(reached.gap) / (1 + found.band.softening)
+                rests = status == balance.RESTS
+                assert (p[rests] == band.softening[rests]).all() and (gap[rests] < 1e-10).all()
+                assert (p >= band.softening).all() and (np.abs(gap[~rests]) < 1e-8).all()
+                band, total, jumps = found.band, total + COUNT, jumps + (status == balance.JUMPS).sum()
+    assert total > 25_000 and jumps > 1000
 
 
 @pytest.mark.parametrize("kind, size", [("damage", 1), ("damage", 6), ("exponential", 3)])

@@ -6,14 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from laws.bands_at_random import (
-    COUNT,
-    embedded,
-    follow,
-    opened,
-    random_points,
-    respond,
-)
+from laws.bands_at_random import COUNT, REGIMES, embedded, respond, states_of
 from test_tensor import full
 
 from jaxmpm import tensor
@@ -23,37 +16,10 @@ from jaxmpm.laws.band import at_rest, secant
 CASES = pytest.mark.parametrize(
     "kind, size",
     [
-        ("damage", 3), ("damage", 4), ("damage", 6), ("released", 3), ("closing", 3),
-        ("viscous", 3), ("hordijk", 3), ("hordijk", 4),
+        ("damage", 3), ("damage", 4), ("released", 3), ("closing", 3), ("viscous", 3), ("hordijk", 3),
     ],
 )  # fmt: skip
-REGIMES = ["onset", "loading", "unloading", "sheared", "damaged"]
 NAMES = ("E", "ft", "Ep", "n", "h")
-
-
-@cache
-def states_of(kind, size, regime):
-    """Random states of a regime: embedding, state before and strain asked for."""
-    rng = np.random.default_rng([size, REGIMES.index(regime)])
-    embedding, band = random_points(rng, size, kind, largest=5.0)
-    law = embedding.law
-    # an opening that takes a good part of the strength
-    unit = law.h * law.ft / law.Ep if hasattr(law, "Ep") else law.GF / law.ft / 3
-    across = tensor.in_the_plane_of(band.normal)
-    side = across[0] if across else 0 * band.normal
-    ask = lambda a, b, spare: opened(band, unit * (a * band.normal + b * side), spare)  # noqa: E731
-    if regime == "onset":
-        return embedding, band, ask(rng.uniform(0.003, 0.03, COUNT), 0.0, 0.02)
-    last = {"damaged": 10 ** rng.uniform(0.7, 0.9, COUNT)}.get(regime, 10 ** rng.uniform(-1.3, 0.4, COUNT))
-    turn = rng.uniform(0.05, 0.4, COUNT) * last if regime == "sheared" else 0.01 * last
-    path = [ask(k * last, 0.0, 0.0) for k in np.geomspace(5e-3, 0.7, 8)]
-    path += [ask(0.85 * last, turn / 2, 0.1)]
-    band, answers = follow(embedding, band, path)
-    assert all((np.asarray(a.status) != balance.FAILS).all() for a in answers)
-    end = ask(last, turn, 0.2)
-    if regime == "unloading":
-        end = path[-1] * rng.uniform(0.2, 0.9, COUNT)
-    return embedding, band, end
 
 
 def stress_of(kind, variables, nu, drag, band):
@@ -122,21 +88,6 @@ def test_derivatives_are_those_of_central_differences(kind, size):
         # by strain relative to the stiffness, by a parameter to the largest of all
         assert np.mean(relative.max(0) < 1) > 0.97, (regime, np.sort(relative.max(0))[-20:])
         assert np.median(errors / exact.max(0)) < 1e-8, regime
-
-
-@pytest.mark.parametrize("kind, size", [("damage", 3), ("released", 3), ("damage", 6)])
-def test_the_tangent_of_a_step_is_the_derivative_of_its_stress(kind, size):
-    with_tangent = jax.jit(balance.respond_with_tangent)
-    _, forward = directional(kind)
-    for regime in REGIMES:
-        embedding, band, ask = states_of(kind, size, regime)
-        found, tangent = with_tangent(embedding, band, ask)
-        np.testing.assert_allclose(found.stress, respond(embedding, band, ask, 1e-11).stress, atol=1e-9)
-        variables, *rest = arguments(kind, size, regime)
-        for k in range(size):
-            column = forward(variables, jnp.zeros_like(variables).at[k].set(1.0), *rest)
-            scale = np.asarray(embedding.bulk.E)
-            np.testing.assert_allclose(tangent[:, k] / scale, column / scale, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("kind, size", [("damage", 3), ("hordijk", 3)])

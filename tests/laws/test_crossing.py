@@ -13,7 +13,12 @@ ONE = jax.tree.map(lambda leaf: leaf[..., 0], concrete(1, nu=0.0))
 FIRST = jnp.array([1.0, 0.0, 0.0])
 ONSET = 3.0 / 32000.0
 H = 2.5
-respond = jax.jit(balance.respond)
+both = jax.jit(balance.respond_with_tangent)
+
+
+def respond(*args):
+    return both(*args)[0]
+
 
 
 def crossed():
@@ -49,3 +54,24 @@ def test_without_pull_along_it_the_second_band_rests_and_hardly_matters():
     alone, both = respond(ONE, band, aside), respond(outer, second, aside)
     np.testing.assert_allclose(both.stress, alone.stress, rtol=0.05 / H, atol=1e-8)
     assert both.status == balance.RESTS
+
+
+@pytest.mark.parametrize(
+    "ask",
+    [(0.011, 0.002, 0.0), (0.013, 0.004, 2e-4), (0.004, 0.001, 1e-4), (0.02, 0.3 * ONSET, 0.0)],
+    ids=["opens", "both load", "both unload", "second rests"],
+)
+def test_tangent_goes_through_both_bands(ask):
+    """By central differences of fourth order."""
+    band, strain = crossed()
+    outer, second = crossing.open_second(ONE, band, strain, jnp.asarray(H))
+    if ask != (0.011, 0.002, 0.0):
+        second = respond(outer, second, jnp.array([0.011, 0.002, 0.0])).band
+    found, exact = both(outer, second, jnp.array(ask))
+    assert found.status != balance.FAILS
+    columns = []
+    for k in range(3):
+        unit = jnp.zeros(3).at[k].set(1e-6)
+        pull = lambda j: np.asarray(respond(outer, second, jnp.array(ask) + j * unit).stress)  # noqa: B023, E731
+        columns.append((8 * (pull(1) - pull(-1)) - (pull(2) - pull(-2))) / 12e-6)
+    np.testing.assert_allclose(exact, np.stack(columns, 1), rtol=0, atol=1e-6 * 32000)

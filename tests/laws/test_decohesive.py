@@ -328,7 +328,8 @@ def product(one, other):
     return sum((np.asarray(a) * b).reshape(COUNT, -1).sum(1) for a, b in pairs)
 
 
-def test_tangent_is_that_of_central_differences(size=3):
+@SIZES
+def test_tangent_is_that_of_central_differences(size):
     laws = random_laws()
     step = 1e-6 * (laws.tau_nf / laws.E)[:, None]
     for history, strain, (*out, _) in random_walk(size):

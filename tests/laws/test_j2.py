@@ -222,7 +222,7 @@ def test_stored_energy_is_that_of_stress_and_of_hardening(size):
 # ---------------------------------------------------------------------------- derivatives
 
 
-@pytest.mark.parametrize("size", [1, 3, 6])
+@SIZES
 def test_tangent_is_that_of_central_differences(size):
     laws, strain, history = random_states(size)
     step = 1e-6 * np.abs(strain).max(1, keepdims=True)
