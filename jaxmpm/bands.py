@@ -196,15 +196,16 @@ def in_plane_secant(laws, band, size):
 def current(pool, embedding, material, mean, size):
     """All bands (`Band`, bands last) as they are at the mean strain of their cells.
 
-    A band that rests keeps the jump it was last solved with; here it has that of its secant.
+    A band that rests keeps the jump it was last solved with; here it has that of its secant. One
+    that loads or has closed was solved at this strain.
     """
     band, secant = unpacked(pool.records, size)
     used = jnp.arange(pool.cell.shape[0]) < pool.count
     laws = laws_of(embedding, material, pool.cell)
     strain = _strain(mean, pool.cell, used)
-    jump, _, _ = band_law.at_rest(secant, laws, band, strain)
-    solved = used & (secant.ratio > 0)
-    return band._replace(jump=jnp.where(solved, jump, band.jump))
+    jump, _, loads = band_law.at_rest(secant, laws, band, strain)
+    resting = used & (secant.ratio > 0) & ~loads
+    return band._replace(jump=jnp.where(resting, jump, band.jump))
 
 
 def add(pool, fresh, cells, new, stress):

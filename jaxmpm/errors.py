@@ -41,8 +41,9 @@ def _toml(value: Any) -> str:
 
 def did_you_mean(word: Any, known: Iterable[str]) -> str:
     """The known word nearest to `word`, or "" where none is near."""
-    near = difflib.get_close_matches(str(word), map(str, known), n=1, cutoff=0.6)
-    return near[0] if near else ""
+    by_small = {str(one).lower(): str(one) for one in known}
+    near = difflib.get_close_matches(str(word).lower(), by_small, n=1, cutoff=0.6)
+    return by_small[near[0]] if near else ""
 
 
 def at(tree: Any, path: Sequence[str | int]) -> Any:

@@ -13,10 +13,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmpm import bands, grid, tensor
+from jaxmpm import band_laws, bands, grid, tensor
 from jaxmpm.bands import Pool
 from jaxmpm.laws.band import Embedding
-from jaxmpm.laws.damage import Damage
 from jaxmpm.laws.elastic import Elastic
 from jaxmpm.loads import Load
 
@@ -155,7 +154,7 @@ def from_layout(scene, layout):
     """The `Model` of a laid-out scene, in the scene's precision."""
     dtype = jnp.dtype(scene.solver.precision)
     array = partial(jnp.asarray, dtype=dtype)
-    materials = [scene.materials[name] for name in layout.materials]
+    materials = {name: scene.materials[name] for name in layout.materials}
     nx, ny = layout.shape
     free = np.ones(2 * (nx + 1) * (ny + 1))
     free[layout.held] = 0
@@ -163,7 +162,7 @@ def from_layout(scene, layout):
         free[drive.dofs] = 0
     return Model(
         embedding=_embedding(scene, materials, array),
-        density=array([material.density for material in materials]),
+        density=array([material.density for material in materials.values()]),
         damping=array(scene.solver.damping),
         material=jnp.asarray(layout.material, jnp.int32),
         free=array(free.reshape(2, nx + 1, ny + 1)),
@@ -181,20 +180,19 @@ def from_layout(scene, layout):
             size=tensor.STRAIN_SIZE[scene.grid.stress_state],
             effective_size=scene.bands.effective_size,
             normal_window=scene.bands.normal_window,
-            cracks=any(material.band for material in materials),
+            cracks=any(material.band for material in materials.values()),
         ),
     )
 
 
 def _embedding(scene, materials, array):
-    """Laws of all materials, stacked; a material without a band has infinite strength."""
-    never = {"ft": np.inf, "Ep": 1.0, "n": 0.1, "h": 1e-3}
-    band = [dict(m.band or never) for m in materials]
-    every = lambda tables, names: [array([table[k] for table in tables]) for k in names]  # noqa: E731
+    """Laws of all materials (tables by name), stacked."""
+    bulk = [m.bulk for m in materials.values()]
     return Embedding(
-        bulk=Elastic(*every([dict(m.bulk) for m in materials], ("E", "nu"))),
-        law=Damage(*every(band, ("ft", "Ep", "n", "h"))),
-        release=array([scene.bands.release] * len(materials)) if scene.bands.release else None,
+        bulk=Elastic(array([b.E for b in bulk]), array([b.nu for b in bulk])),
+        law=band_laws.stacked(materials, array),
+        release=array([scene.bands.release] * len(bulk)) if scene.bands.release else None,
+        closes=scene.bands.closes,
     )
 
 

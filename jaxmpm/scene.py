@@ -8,6 +8,7 @@ from pydantic import Field, ValidationError, ValidationInfo, field_validator
 
 from jaxmpm import scene_check, scene_source
 from jaxmpm.errors import SceneError, written
+from jaxmpm.materials import Material
 from jaxmpm.shapes import Number, Pair, Positive, Shape, Table, cosines
 
 Count = Annotated[int, Field(strict=True)]
@@ -36,36 +37,6 @@ class Grid(Table):
     def shape(self) -> tuple[int, int]:
         """Number of cells along x and y."""
         return round(self.size[0] / self.cell), round(self.size[1] / self.cell)
-
-
-class Elastic(Table):
-    """Linear elastic bulk."""
-
-    law: Literal["elastic"] = Field(description="law of the bulk")
-    E: Positive = Field(description="Young's modulus, MPa")
-    nu: Number = Field(gt=-1.0, lt=0.5, description="Poisson's ratio, dimensionless")
-
-
-class Damage(Table):
-    """The damage law of the localisation band (Nguyen, Eqs. 11-13)."""
-
-    law: Literal["damage"] = Field(description="law of the band")
-    ft: Positive = Field(description="tensile strength, MPa")
-    Ep: Positive = Field(description="softening modulus at onset, MPa")
-    n: Number = Field(
-        gt=0.0,
-        lt=0.5,
-        description="exponent of softening, dimensionless; from 0.5 on the dissipation is infinite",
-    )
-    h: Positive = Field(description="width of the band, mm")
-
-
-class Material(Table):
-    """A material: its bulk, and the band that a crack in it becomes."""
-
-    density: Positive = Field(description="density, tonne/mm3; concrete is 2.4e-9")
-    bulk: Elastic = Field(description="law of the bulk")
-    band: Damage | None = Field(None, description="law of the band; without one it never cracks")
 
 
 class Body(Table):
@@ -209,6 +180,11 @@ class Bands(Table):
         1.0,
         description="exponent p of the release of crack-parallel stress with the band's cohesion "
         "to the power p; 0 keeps that stress",
+    )
+    closes: bool = Field(
+        False,
+        strict=True,
+        description="whether a closed crack carries compression with the stiffness of the bulk",
     )
 
     @field_validator("normal_window")

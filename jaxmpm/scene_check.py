@@ -158,6 +158,7 @@ def check(tree: dict[str, Any], problems: Problems) -> None:
     _check_grid(tree, problems)
     for name, material in _entries(tree, "materials"):
         _check_band(tree, name, material, problems)
+    _check_one_law(tree, problems)
     _check_something_happens(tree, problems)
 
 
@@ -250,29 +251,65 @@ def fitting_cells(size: Sequence[float], cell: float) -> list[float]:
     return found
 
 
+# steepest slope of the curves of a cohesive law, in f_t²/G_F
+STEEPEST = {"linear": 1 / 2, "bilinear": 5 / 6, "exponential": 1.0, "hordijk": 1.35462}
+
+
 def _check_band(tree: dict, name: str, material: dict, problems: Problems) -> None:
-    cell = _number(tree, "grid", "cell")
-    h, softening = (_number(material, "band", key) for key in ("h", "Ep"))
-    modulus = _number(material, "bulk", "E")
+    cell, h = _number(tree, "grid", "cell"), _number(material, "band", "h")
     if cell is None or h is None:
         return
     if h >= cell:
         advice = "use a larger cell or a narrower band"
         problems.add(("materials", name, "band", "h"), f"less than grid.cell = {cell:g} mm", advice)
-    elif modulus is not None and softening is not None:
-        bands = tree.get("bands")
-        area = isinstance(bands, dict) and bands.get("effective_size") == "sqrt_area"
-        largest = h * (1.0 + modulus / softening)
-        # A crack along a cell's diagonal has the largest effective size.
-        cell_limit = largest if area else largest / math.sqrt(2.0)
-        if cell > cell_limit:
-            limit = math.floor(cell_limit * 1e4) / 1e4
-            problems.add(
-                ("grid", "cell"),
-                f"at most {limit:g} mm with materials.{name}, whose bands snap back beyond an "
-                f"effective size H_max = h (1 + E/Ep) = {largest:.5g} mm",
-                "use a smaller cell, or a band with larger h or smaller Ep",
-            )
+        return
+    found = _largest_size(material)
+    if found is None:
+        return
+    largest, formula, change = found
+    bands = tree.get("bands")
+    area = isinstance(bands, dict) and bands.get("effective_size") == "sqrt_area"
+    # A crack along a cell's diagonal has the largest effective size.
+    cell_limit = largest if area else largest / math.sqrt(2.0)
+    if cell > cell_limit:
+        limit = math.floor(cell_limit * 1e4) / 1e4
+        problems.add(
+            ("grid", "cell"),
+            f"at most {limit:g} mm with materials.{name}, whose bands snap back beyond an "
+            f"effective size H_max = {formula} = {largest:.5g} mm",
+            f"use a smaller cell, or a band with {change}",
+        )
+
+
+def _largest_size(material: dict) -> tuple[float, str, str] | None:
+    """H_max of a material's band, its formula, and what makes it larger."""
+    modulus, h = _number(material, "bulk", "E"), _number(material, "band", "h")
+    softening, strength, energy = (_number(material, "band", k) for k in ("Ep", "ft", "GF"))
+    if modulus is not None and softening is not None:
+        return h * (1.0 + modulus / softening), "h (1 + E/Ep)", "larger h or smaller Ep"
+    if None not in (modulus, strength, energy) and material["band"].get("law") == "cohesive":
+        slope = STEEPEST.get(str(material["band"].get("curve", "exponential")), 1.0)
+        largest = modulus * energy / (strength**2 * slope)
+        return largest, f"E GF/({slope:.3g} ft²)", "larger GF or smaller ft"
+    return None
+
+
+def _check_one_law(tree: dict, problems: Problems) -> None:
+    """All bands of a scene are answered together: by one law, whose parameters may differ."""
+    first = None
+    for name, material in _entries(tree, "materials"):
+        band = material.get("band")
+        if not isinstance(band, dict):
+            continue
+        law = {key: band[key] for key in ("law", "curve", "source") if key in band}
+        if band.get("law") == "cohesive":
+            law.setdefault("curve", "exponential")
+        if first is None:
+            first = name, law
+        for key, value in law.items():
+            if key in first[1] and value != first[1][key]:
+                what = f"{written(first[1][key])} as materials.{first[0]} has"
+                problems.add(("materials", name, "band", key), what, "one law for all bands")
 
 
 def _check_something_happens(tree: dict, problems: Problems) -> None:

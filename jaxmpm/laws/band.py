@@ -49,11 +49,6 @@ class Embedding:
     drag: Any = None  # viscous resistance of the band over the step, η/Δt, MPa/mm; None: none
     closes: bool = field(default=False, metadata={"static": True})  # a closed crack is stiff
 
-    @property
-    def affine(self):
-        """A band that does not load answers a strain linearly."""
-        return not self.closes and self.drag is None and self.bulk is self.bulk.elastic
-
 
 class Pulls(NamedTuple):
     """What pulls at the faces of a band at a trial jump: r = outside − s · cohesive."""
@@ -193,7 +188,7 @@ class Secant(NamedTuple):
 
 
 def secant(embedding, band, basis=None):
-    """The `Secant` of a band, of an affine embedding.
+    """The `Secant` of a band (an open one, if it closes) in an elastic bulk, without drag.
 
     Args:
         embedding, band: as ever.
@@ -204,7 +199,7 @@ def secant(embedding, band, basis=None):
 
     def pull(x):
         strain = jnp.stack([_weighted(row, x[count:]) for row in rows.T])
-        found = pulls(embedding, band, strain, x[:count])
+        found = pulls(embedding, band, strain, x[:count], closed=False)
         return jnp.concatenate([found.outside, found.cohesive, found.stress]), None
 
     zero = jnp.stack([0 * band.softening] * (count + len(rows)))
@@ -236,13 +231,16 @@ def _weighted(row, components):
 
 
 def at_rest(operator, embedding, band, components):
-    """Jump, stress and whether the band loads, at strain components (k,), by its `Secant`.
+    """Jump, stress and whether the band loads or closes, at strain components, by its `Secant`.
 
-    Numbers that are not finite count as loading, so that the solver says that they fail.
+    Where it does the solver has the answer. So it has where numbers are not finite: it fails.
     """
     jump = affine(operator.jump, components)
-    _, drive = embedding.law.effective(inside(band, jump), embedding.bulk.elastic)
-    return jump, affine(operator.stress, components), ~(drive <= operator.ratio)
+    traction, drive = embedding.law.effective(inside(band, jump), embedding.bulk.elastic)
+    rests = drive <= operator.ratio
+    if embedding.closes:
+        rests &= tensor.dot(traction, band.normal) >= 0
+    return jump, affine(operator.stress, components), ~rests
 
 
 def affine(table, components):

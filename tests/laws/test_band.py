@@ -9,7 +9,6 @@ import pytest
 from laws.bands_at_random import COUNT, REGIMES, embedded, respond, states_of
 from test_tensor import full
 
-from jaxmpm import tensor
 from jaxmpm.laws import balance
 from jaxmpm.laws.band import at_rest, secant
 
