@@ -43,15 +43,17 @@ class Cohesive(Table):
 
 
 class OwnLaw(Table):
-    """A band law from a Python module of one's own; its parameters are further keys."""
+    """A band law from Python code of one's own; its parameters are further keys."""
 
     model_config = ConfigDict(extra="allow", frozen=True)
     __pydantic_extra__: dict[str, Number]
 
     law: Literal["own"] = Field(description="law of the band")
     source: str = Field(
-        pattern=r"^[\w.]+:\w+$", description='module and class, "my_laws:LinearBand"'
+        pattern=r"^[^:]+:\w+$",
+        description='file beside the scene, or module, and class: "my_laws.py:LinearBand"',
     )
+    digest: str = Field("", description="of the text of the file; the program puts it in")
     ft: Positive = Field(description="tensile strength, MPa")
     h: Positive = Field(description="width of the band, mm")
 

@@ -190,7 +190,7 @@ def _embedding(scene, materials, array):
     bulk = [m.bulk for m in materials.values()]
     return Embedding(
         bulk=Elastic(array([b.E for b in bulk]), array([b.nu for b in bulk])),
-        law=band_laws.stacked(materials, array),
+        law=band_laws.stacked(materials, scene.grid, scene.bands, array),
         release=array([scene.bands.release] * len(bulk)) if scene.bands.release else None,
         closes=scene.bands.closes,
     )

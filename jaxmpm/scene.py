@@ -271,6 +271,7 @@ def load_scene(source: str | Path, overrides: Sequence[str] = ()) -> Scene:
     path = scene_source.find(source)
     tree = scene_source.override(scene_source.read(path), overrides)
     tree.setdefault("name", path.stem)
+    scene_source.find_own_laws(tree, path.parent)
     return Scene.from_dict(tree)
 
 

@@ -93,7 +93,7 @@ def _node(schema: dict, path: Sequence, tree: Any) -> tuple[dict, str]:
             node = node["properties"][part]
             text = node.get("description", "")
         elif isinstance(node.get("additionalProperties"), dict):
-            node = node["additionalProperties"]
+            node, text = node["additionalProperties"], ""
         elif isinstance(part, int) and part < len(node.get("prefixItems", ())):
             node = node["prefixItems"][part]
         elif "items" in node:

@@ -2,6 +2,7 @@
 
 import ast
 import copy
+import hashlib
 import math
 import operator
 import re
@@ -51,6 +52,35 @@ def read(path: Path) -> dict[str, Any]:
         ) from None
     except (ValueError, RecursionError) as error:
         raise SceneError(f"scene = {written(str(path))}: expected TOML ({error})") from None
+
+
+def find_own_laws(tree: dict[str, Any], folder: Path) -> None:
+    """Put in where the files of band laws of one's own are, and a digest of what they say.
+
+    A file is looked for beside the scene. With its digest in the scene, a run is not resumed with
+    another law unnoticed.
+    """
+    materials = tree.get("materials")
+    for name, material in materials.items() if isinstance(materials, dict) else ():
+        band = material.get("band") if isinstance(material, dict) else None
+        source = band.get("source") if isinstance(band, dict) else None
+        if not isinstance(source, str) or ".py:" not in source:
+            continue
+        file, _, cls = source.rpartition(":")
+        path = folder / file
+        try:
+            digest = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+        except OSError as error:
+            raise SceneError(
+                f"materials.{name}.band.source = {written(source)}: expected a file beside the "
+                f"scene to read ({error.strerror}: {path})"
+            ) from None
+        if band.get("digest", digest) != digest:
+            raise SceneError(
+                f"materials.{name}.band.source = {written(source)}: expected the file as it was "
+                f"when this scene was written (digest {band['digest']}, now {digest}; remove the digest)"
+            )
+        band |= {"source": f"{path.resolve()}:{cls}", "digest": digest}
 
 
 def override(tree: dict[str, Any], overrides: Sequence[str]) -> dict[str, Any]:

@@ -8,6 +8,9 @@ from jaxmpm.laws.cohesive import CURVES
 from jaxmpm.run import Simulation
 from jaxmpm.scene import Scene, load_scene
 from jaxmpm.scene_check import STEEPEST
+from jaxmpm.scene_source import bundled
+
+BUNDLED = bundled()
 
 OWN = '''
 import jax.numpy as jnp
@@ -71,13 +74,37 @@ def test_bar_with_a_cohesive_band_gives_its_fracture_energy(linear):
     assert abs(curve[-1]) < 0.01 * 285.0  # linear: nothing is left
 
 
-def test_own_law_from_one_file_is_the_same_bar(linear, tmp_path, monkeypatch):
-    """Isotropic damage and mixed mode all but agree in opening; Poisson's effect tells them apart."""
+@pytest.fixture
+def my_laws(tmp_path):
     (tmp_path / "my_laws.py").write_text(OWN)
-    monkeypatch.chdir(tmp_path)
-    curve, last = loads(Simulation.of(bar(LINEAR | {"law": "own", "source": "my_laws:LinearBand"})), 20)
+    return tmp_path
+
+
+def own(source="my_laws.py:LinearBand", **changes):
+    return LINEAR | {"law": "own", "source": source} | changes
+
+
+def test_own_law_from_one_file_is_the_same_bar(linear, my_laws, monkeypatch):
+    """Isotropic damage and mixed mode all but agree in opening; Poisson's effect tells them apart."""
+    monkeypatch.chdir(my_laws)
+    curve, last = loads(Simulation.of(bar(own())), 20)
     np.testing.assert_allclose(curve, linear[0], rtol=0, atol=0.03 * 285.0)
     assert float(last.dissipated) == pytest.approx(0.08 * 100.0, rel=0.01)
+
+
+def test_own_law_is_looked_for_beside_the_scene_and_its_text_is_part_of_it(my_laws):
+    text = BUNDLED["bar"].read_text()
+    for ft in ("3.0", "2.85"):
+        old = f'{{ law = "damage", ft = {ft}, Ep = 8.184, n = 0.128, h = 0.05 }}'
+        new = f'{{ law = "own", source = "my_laws.py:LinearBand", ft = {ft}, GF = 0.08, h = 0.05 }}'
+        assert old in text
+        text = text.replace(old, new)
+    (my_laws / "mine.toml").write_text(text)
+    first = load_scene(my_laws / "mine.toml")
+    assert Simulation.of(first).model.embedding.law.GF.shape == (2,)
+    with open(my_laws / "my_laws.py", "a") as file:
+        file.write("# changed\n")
+    assert load_scene(my_laws / "mine.toml") != first  # so that a run is not resumed with it
 
 
 def test_closed_crack_carries_compression_in_a_scene():
@@ -103,22 +130,43 @@ def test_largest_size_of_cohesive_bands_is_checked_with_the_slopes_of_the_curves
         bar({"law": "cohesive", "ft": 30.0, "GF": 0.06, "h": 0.01})
 
 
+FAULTS = {
+    "Lacks": "    soften = None\n",
+    "Raises": "    def soften(self, p, bulk):\n        return self.Gf\n",
+    "NoPair": "    def soften(self, p, bulk):\n        return p\n",
+    "Hardens": "    def soften(self, p, bulk):\n        return 1 + p, 1 + p\n",
+    "Small": "    def largest_size(self, bulk):\n        return 1.0\n",
+}
+
+
 @pytest.mark.parametrize(
     "band, words",
     [
         ({"law": "cohesive", "ft": 3.0, "h": 0.05}, "materials.concrete.band.GF: absent"),
         (LINEAR | {"law": "cohesive", "curve": "hordik"}, 'did you mean "hordijk"'),
-        (LINEAR | {"law": "own", "source": "my_laws"}, 'source = "my_laws": expected'),
-        (LINEAR | {"law": "own", "source": "no_such:Law"}, "No module named 'no_such'"),
-        (LINEAR | {"law": "own", "source": "my_laws:Law"}, "my_laws:Law.*class"),
-        (LINEAR | {"law": "own", "source": "my_laws:LinearBand", "Gf": 0.1}, "did you mean GF"),
-        ({"law": "own", "source": "my_laws:LinearBand", "ft": 3.0, "h": 0.05}, "band.GF: absent"),
+        (own("my_laws"), 'source = "my_laws": expected'),
+        (own("no_such:Law"), "No module named 'no_such'"),
+        (own("no_such.py:Law"), "no_such.py.*FileNotFoundError"),
+        (own("broken.py:Law"), "SyntaxError"),
+        (own("my_laws.py:LinearBnd"), "class made with @law in it .did you mean LinearBand"),
+        (own("my_laws.py:Lacks"), "expected methods soften too"),
+        (own("my_laws.py:Raises"), "expected of Raises methods as .*AttributeError.*Gf"),
+        (own("my_laws.py:NoPair"), "expected of NoPair methods as"),
+        (own("my_laws.py:Hardens"), "expected of Hardens soften.*falls from 1"),
+        (own("my_laws.py:Small"), "grid.cell = 2.5: expected at most 0.7071 mm.*largest_size = 1 mm"),
+        (own(GF=-0.1), "LinearBand.*soften.*GF = -0.1"),
+        (own(GF="0.1"), 'materials.concrete.band.GF = "0.1": expected a finite number$'),
+        (own(Gf=0.1), "did you mean GF"),
+        (own() | {"GF": 0.0001}, "expected at most 0.5.* mm with materials.concrete"),
     ],
 )
-def test_mistakes_are_named(band, words, tmp_path, monkeypatch):
-    (tmp_path / "my_laws.py").write_text(OWN)
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(SceneError, match=words):
+def test_mistakes_are_named(band, words, my_laws, monkeypatch):
+    with open(my_laws / "my_laws.py", "a") as file:
+        for name, body in FAULTS.items():
+            file.write(f"\n\n@law\nclass {name}(LinearBand):\n{body}")
+    (my_laws / "broken.py").write_text("def")
+    monkeypatch.chdir(my_laws)
+    with pytest.raises(SceneError, match=f"(?m){words}"):
         Simulation.of(bar(band))
 
 

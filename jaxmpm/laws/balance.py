@@ -6,8 +6,8 @@ Unknowns are the jump [u] and, where the band loads, its softening p:
 
 Along the jumps that balance r the gap is a function of p alone. It is positive at the last p
 where the band loads, and negative in the end, since a band without cohesion opens no further:
-so there is always a solution, and the first one beyond the last p is the state that the point
-comes to. A slope of the gap that is not negative means that equilibrium cannot be followed
+so there is always a solution (in a bulk that is elastic or hardens), and the first one beyond
+the last p is the state that the point comes to. A slope of the gap that is not negative means that equilibrium cannot be followed
 (beyond H_max, or where a band with an oblique normal sheds its shear): the state jumps to the
 next solution, and the energy that comes free is accounted for.
 
@@ -26,7 +26,7 @@ from jax import lax
 from jaxmpm import tensor
 from jaxmpm.laws import band as bands
 from jaxmpm.laws.band import Band
-from jaxmpm.laws.energies import booked
+from jaxmpm.laws.energies import booked, freed
 from jaxmpm.laws.equilibrium import (
     FAILS,
     JUMPS,
@@ -34,9 +34,11 @@ from jaxmpm.laws.equilibrium import (
     RESTS,
     Solution,
     by_unknowns,
+    followed,
     gap_tolerance,
     largest,
     linearised,
+    on_the_way,
     parts_of,
     tolerance,
 )
@@ -56,7 +58,7 @@ LANES = 64  # points that are searched together
 class Response(NamedTuple):
     """What a band answers to a strain."""
 
-    band: Band  # new state
+    band: Band  # new state; of no use where the status is FAILS: keep the old one
     stress: jax.Array  # macroscopic stress (size,), MPa; NaN where the status is FAILS
     status: jax.Array  # RESTS, LOADS, JUMPS or FAILS
 
@@ -68,7 +70,7 @@ def respond(embedding, band, strain, precision=1e-11):
         embedding: the laws; parameters are scalars, or one for each band.
         band: state at the end of the last step.
         strain: macroscopic strain (size,), or (size, many).
-        precision: out-of-balance traction that is accepted, as a share of f_t.
+        precision: out-of-balance traction that is accepted, as a share of f_t, or round-off.
 
     Returns:
         Response; differentiable in embedding, band and strain, forward and in reverse.
@@ -86,7 +88,8 @@ def respond_with_tangent(embedding, band, strain, precision=1e-11):
     """`respond`, and the consistent tangent dσ/dε (size, size) of the same step, MPa.
 
     One linearisation of both laws by strain, jump and softening gives all columns: what
-    `jax.jacfwd(stress_at)` says, at a fraction of its cost.
+    `jax.jacfwd(stress_at)` says, at a fraction of its cost. With many bands it is
+    (size, size, many).
     """
     found = solve(embedding, band, strain, precision)
     size = len(strain)
@@ -168,8 +171,35 @@ def _solve_jvp(precision, primals, tangents):
     matrix, _ = linearised(*primals, found.unknowns)
     last = tangents[1].softening
     change = by_unknowns(parts_of(matrix), by_balance, by_gap, found.status, last)
+    _, by_free = jax.jvp(lambda *at: _freed(*at, found), primals, tangents)
     no_status = np.zeros(found.status.shape, jax.dtypes.float0)
-    return found, Solution(change, jnp.zeros_like(found.fall), no_status)
+    return found, Solution(change, no_status, by_free, jax.tree.map(jnp.zeros_like, found.leap))
+
+
+def _freed(embedding, band, strain, found):
+    """Energy set free, as a function of all that may change.
+
+    On either side of the leap tractions are in balance, and the band is about to load: there the
+    energies are stationary in jump and softening. What changes is the strain where that is.
+    """
+    jumps, still = found.status == JUMPS, lax.stop_gradient
+    leap = jax.tree.map(lambda leaf: jnp.where(jumps, leaf, 0.0), found.leap)
+    lost = band._replace(softening=leap.before)
+    laws, whole = still((embedding, lost)), still((embedding, band, strain))
+    unknowns = jnp.concatenate([leap.held, leap.before[None]])
+    matrix, _ = linearised(*laws, still(on_the_way(*whole, leap.share)), unknowns)
+    adjoint = tensor.solve(jnp.swapaxes(matrix[:-1, :-1], 0, 1), matrix[-1, :-1])
+
+    def gap(embedding, band, at):
+        reached = bands.answer(embedding, band, at, leap.held, leap.before)
+        return reached.gap - tensor.dot(adjoint, reached.out_of_balance)
+
+    along = lambda share: gap(*laws, on_the_way(*whole, share))  # noqa: E731
+    _, growth = jax.jvp(along, (leap.share,), (jnp.ones_like(leap.share),))
+    here = gap(embedding, lost, on_the_way(embedding, band, strain, leap.share))
+    share = leap.share - (here - still(here)) / jnp.where(jumps, still(growth), 1.0)
+    free = freed(embedding, lost, on_the_way(embedding, band, strain, share), leap)
+    return jnp.where(jumps, free, 0.0)
 
 
 def _newton(embedding, band, strain, precision):
@@ -217,5 +247,5 @@ def _newton(embedding, band, strain, precision):
     settled = even & (jnp.abs(reached.gap) <= close) & stable
     settled &= (softening >= last) & (softening - last <= LEAP)
     status = jnp.where(rests, RESTS, LOADS).astype(jnp.int32)
-    unknowns = jnp.concatenate([jump, softening[None]])
-    return Solution(unknowns, jnp.zeros_like(last), status), settled | (rests & even)
+    found = followed(jnp.concatenate([jump, softening[None]]), status)
+    return found, settled | (rests & even)

@@ -75,22 +75,43 @@ def open_band(embedding, strain, normal, size, history=()):
 
     Args:
         embedding: the laws.
-        strain: macroscopic strain (size,) that has reached onset.
-        normal: unit normal of the crack (dimension,).
-        size: effective size H, mm.
+        strain: macroscopic strain (size,) that has reached onset, or (size, many).
+        normal: unit normal of the crack (dimension,), or (dimension, many).
+        size: effective size H, mm, one or one for each.
         history: of the bulk law before this strain.
     """
+    strain = jnp.asarray(strain)
+    strain = strain.astype(jnp.promote_types(strain.dtype, jnp.float32))
+    many = strain.shape[1:]
+    normal, size = jnp.asarray(normal, strain.dtype), jnp.asarray(size, strain.dtype)
+    normal = jnp.broadcast_to(normal.reshape(*normal.shape, *[1] * (1 + len(many) - normal.ndim)), (len(normal), *many))
+    size = jnp.broadcast_to(size, many)
     bulk = embedding.bulk
-    zero, none = jnp.zeros_like(size), jnp.zeros_like(normal)
     if bulk is bulk.elastic:
-        ratio = embedding.law.onset(bulk.stress(strain), bulk)
-        return Band(normal, size, strain / ratio, none, zero, history, zero, zero)
-    stress, history = bulk.respond(strain, history)
-    elastic = bulk.elastic.strain(stress)
-    ratio = embedding.law.onset(stress, bulk.elastic)
-    return Band(
-        normal, size, elastic / ratio, none, zero, history, zero, zero, strain - elastic
-    )
+        elastic, new, flowed = strain, history, None
+    else:
+        stress, new = bulk.respond(strain, history)
+        elastic = bulk.elastic.strain(stress)
+        flowed = strain - elastic
+    ratio = embedding.law.onset(bulk.elastic.stress(elastic), bulk.elastic)
+    band = begun(normal, size, elastic / ratio, new, flowed)
+    if flowed is None:
+        return band
+    return continued(embedding, band, strain, bulk.stored(strain, new) + bulk.dissipated(new))
+
+
+def begun(normal, size, onset_strain, history=(), flowed=None):
+    """A band without a jump yet."""
+    zero = jnp.zeros_like(size)
+    return Band(normal, size, onset_strain, jnp.zeros_like(normal), zero, history, zero, zero, flowed)
+
+
+def continued(embedding, band, strain, energy):
+    """The band with as much energy booked as the point had before it, N/mm².
+
+    The share of the cell that becomes the band has dissipated energy in the bulk until then.
+    """
+    return band._replace(released=energy - sum(energies(embedding, band, strain)))
 
 
 def inside(band, jump):

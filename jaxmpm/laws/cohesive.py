@@ -79,7 +79,7 @@ class Hordijk:
     """
 
     c1, c2 = 3.0, 6.93
-    end = (1 + 27.0) * np.exp(-6.93)
+    end = float((1 + 27.0) * np.exp(-6.93))
 
     @classmethod
     def _primitive(cls, x, exp):

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from jaxmpm import tensor
 from jaxmpm.laws import balance
-from jaxmpm.laws.band import Embedding, energies, open_band
+from jaxmpm.laws.band import Embedding, begun, continued, energies
 
 
 @jax.tree_util.register_dataclass
@@ -86,6 +86,15 @@ def open_second(embedding, band, strain, size, law=None):
     Returns:
         (embedding of the second band in the cracked point, its `Band`), for `balance.respond`.
     """
-    _, normal = parallel_ratio(embedding, band, strain)
-    outer = Embedding(Cracked(embedding), law or embedding.law, closes=embedding.closes)
-    return outer, open_band(outer, strain, normal, size, band)
+    ratio, normal = parallel_ratio(embedding, band, strain)
+    law = law or embedding.law
+    outer = Embedding(Cracked(embedding), law, closes=embedding.closes)
+    # the stress that the second band knows of: the pull across it, which has come to its strength
+    pull = jnp.maximum(ratio, 1.0) * embedding.law.ft * tensor.along(normal, len(strain))
+    shear = jnp.arange(len(strain)) >= tensor.NORMALS[len(strain)]
+    elastic = embedding.bulk.elastic.strain(jnp.where(shear, pull / 2, pull))
+    onset = elastic / law.onset(embedding.bulk.elastic.stress(elastic), embedding.bulk.elastic)
+    size = jnp.asarray(size, strain.dtype)
+    second = begun(normal, size, onset, band, strain - onset)
+    whole = outer.bulk.stored(strain, band) + outer.bulk.dissipated(band)
+    return outer, continued(outer, second, strain, whole)

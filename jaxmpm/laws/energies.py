@@ -3,11 +3,9 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 
 from jaxmpm import tensor
 from jaxmpm.laws import band as bands
-from jaxmpm.laws.equilibrium import JUMPS
 
 
 def booked(embedding, band, moved, strain, stress, found):
@@ -21,10 +19,25 @@ def booked(embedding, band, moved, strain, stress, found):
         found: the `Solution` that it moved to.
     """
     spent = _spent(embedding, band, moved)
-    released = _softened_bulk(embedding, band, moved, strain, stress)
-    free = found.fall - lax.stop_gradient(spent / band.size + released)
-    released += jnp.where(found.status == JUMPS, jnp.maximum(free, 0.0), 0.0)
+    released = _softened_bulk(embedding, band, moved, strain, stress) + found.free
     return moved._replace(spent=band.spent + spent, released=band.released + released)
+
+
+def freed(embedding, band, at, leap):
+    """Energy per volume of the cell that a `Leap` sets free, N/mm².
+
+    The fall of stored and dissipated energy at the strain where equilibrium is lost, less what
+    is booked as spent and released of any step.
+    """
+    before = band._replace(jump=leap.held, softening=leap.before)
+    after = band._replace(jump=leap.jump, softening=leap.after)
+    both = jax.tree.map(lambda *pair: jnp.stack(pair), before, after)
+    total = jax.vmap(lambda band: sum(bands.energies(embedding, band, at)))(both)
+    spent = _spent(embedding, before, after)
+    outside = bands.bulk_strain(embedding, band, at, leap.jump)
+    stress, _ = bands.bulk_stress(embedding, before, outside)
+    released = _softened_bulk(embedding, before, after, at, stress)
+    return jnp.maximum(total[0] - total[1] - spent / band.size - released, 0.0)
 
 
 def _spent(embedding, band, moved):
@@ -81,19 +94,3 @@ def _softened_bulk(embedding, band, moved, strain, stress):
     fraction = embedding.law.h / band.size
     after, _ = bands.bulk_stress(embedding, moved, outside)
     return (1 - fraction) * tensor.dot(stress - after, outside) / 2
-
-
-def fall(embedding, band, strain, held, jump, softening):
-    """Fall of stored and dissipated energy, N/mm², as a band softens at fixed strain.
-
-    `held` balances the last softening, `jump` the new one.
-    """
-    before, after = (held, band.softening), (jump, softening)
-    both = jax.tree.map(lambda *pair: jnp.stack(pair), before, after)
-
-    def total(state):
-        jump, softening = state
-        return sum(bands.energies(embedding, band._replace(jump=jump, softening=softening), strain))
-
-    totals = jax.vmap(total)(both)
-    return totals[0] - totals[1]

@@ -17,12 +17,29 @@ from jaxmpm.laws.law import jacobian
 RESTS, LOADS, JUMPS, FAILS = 0, 1, 2, 3  # what may come of a point: its status
 
 
+class Leap(NamedTuple):
+    """Where equilibrium was lost on the way and found again; zeros where it was followed."""
+
+    share: jax.Array  # of the way from rest to the strain asked for, see `on_the_way`
+    held: jax.Array  # jump [u] before (dimension,), mm
+    before: jax.Array  # softening before
+    jump: jax.Array  # and after, at the same strain
+    after: jax.Array
+
+
 class Solution(NamedTuple):
     """What balances the tractions at a macroscopic strain."""
 
     unknowns: jax.Array  # jump and softening (dimension + 1,)
-    fall: jax.Array  # where equilibrium jumped: fall of the energies over the jump, N/mm²
     status: jax.Array  # RESTS, LOADS, JUMPS or FAILS
+    free: jax.Array  # energy that the leap sets free per volume of the cell, N/mm²
+    leap: Leap
+
+
+def followed(unknowns, status):
+    """The `Solution` of a point whose equilibrium was followed all the way."""
+    none, no_jump = jnp.zeros_like(unknowns[-1]), jnp.zeros_like(unknowns[:-1])
+    return Solution(unknowns, status, none, Leap(none, no_jump, none, no_jump, none))
 
 
 class Parts(NamedTuple):
@@ -47,6 +64,26 @@ def linearised(embedding, band, strain, unknowns, closed=None):
 
     matrix, value, _ = jacobian(residual, unknowns)
     return matrix, value
+
+
+def on_the_way(embedding, band, strain, share):
+    """Strain at a share of the way from a state of rest to the one asked for, (size,).
+
+    The strain of the last step is not known, but one at which its jump and softening are in
+    balance is: the strain asked for less an opening. In a bulk that remembers, it is no strain.
+    """
+    if embedding.bulk is not embedding.bulk.elastic:
+        return share * strain
+
+    def pull(jump):
+        outside = bands.bulk_strain(embedding, band, strain, jump)
+        return tensor.traction(bands.bulk_stress(embedding, band, outside)[0], band.normal), None
+
+    stiffness, *_ = jacobian(pull, band.jump)
+    reached = bands.answer(embedding, band, strain, band.jump, band.softening)
+    less = -tensor.solve(stiffness, reached.out_of_balance)
+    opening = tensor.symmetric_product(band.normal, less, len(strain)) / band.size
+    return strain - (1 - share) * opening
 
 
 def parts_of(matrix):
@@ -78,14 +115,26 @@ def largest(vector):
 
 
 def tolerance(embedding, band, strain, jump, precision):
-    """Out-of-balance traction (MPa) that is as good as zero: a share of f_t, or round-off."""
+    """Out-of-balance traction (MPa) that is as good as zero: a share of f_t, or round-off.
+
+    The round-off is that of all terms of the strain in the bulk and in the band.
+    """
     eps = jnp.finfo(strain.dtype).eps
-    law = embedding.law
-    size = sum(jnp.abs(component) for component in strain) / (1 - law.h / band.size)
-    if embedding.closes:  # faces that are pressed together know their jump to round-off only
-        size += sum(jnp.abs(component) for component in jump) / law.h
+    law, dims = embedding.law, band.size.ndim
+    size = lambda vector: sum(jnp.abs(component) for component in vector)  # noqa: E731
+    fraction = law.h / band.size
+    strains = size(strain) + fraction * size(band.onset_strain) + size(jump) / band.size
+    for leaf in (band.flowed, *jax.tree.leaves(band.bulk)):
+        if leaf is not None and leaf.ndim > dims and len(leaf) == len(strain):
+            strains += size(leaf)
+    _, integrity = law.soften(band.softening, embedding.bulk.elastic)
+    share = 1.0 if embedding.closes else integrity  # closed faces press with all there is
+    inside = share * (size(band.onset_strain) + size(jump) / law.h)
     direct, *_ = embedding.bulk.elastic.coefficients(len(strain))
-    return precision * law.ft + 16 * eps * direct * size
+    stress = direct * (strains / (1 - fraction) + inside)
+    if embedding.drag is not None:
+        stress += embedding.drag * size(jump - band.jump)
+    return precision * law.ft + 16 * eps * stress
 
 
 def gap_tolerance(precision, softening):

@@ -15,7 +15,7 @@ A **point law** answers a strain by itself, and serves as the bulk around a band
 A **band law** describes the material inside a localisation band, scaled by an integrity s that
 falls from 1 to 0. How far it has fallen is one number p, the *softening*, 0 at onset:
 
-    h                                                      width of the band, mm
+    h, ft                                                  width of the band, mm; strength, MPa
     onset(stress, bulk) -> r̂                               1 where a band opens
     effective(inside, bulk) -> (traction, r̂)               as if s were 1; what drives softening
     soften(p, bulk) -> (r̂, s)                              the softening curve; p loads where

@@ -17,23 +17,28 @@ from jax import lax
 
 from jaxmpm import tensor
 from jaxmpm.laws import band as bands
-from jaxmpm.laws.energies import fall
+from jaxmpm.laws.energies import freed
 from jaxmpm.laws.equilibrium import (
     FAILS,
     JUMPS,
     LOADS,
     RESTS,
+    Leap,
     Solution,
     gap_tolerance,
     largest,
     linearised,
+    on_the_way,
     parts_of,
     tolerance,
 )
 
-STEPS = 400  # of the search before a point counts as failed
+STEPS = 400  # of a walk before a point counts as failed
+WALKS = 60  # before it counts as failed, three are usual where equilibrium is lost
 INNER = 60  # steps of Newton on the jump at one softening
 NEAR = 0.5  # share of the traction at its begin that a step on the jump may leave along itself
+LEAST = 1e-10  # share of the way that is as good as none
+PINCHED = 1e-4  # difference of shares of the way between which equilibrium is lost
 GUESS = 1.0  # change of softening over which the jump is extrapolated
 
 
@@ -63,14 +68,132 @@ class Walk(NamedTuple):
     gap: jax.Array  # at the softening that was balanced last
     slow: jax.Array  # it has not halved since the one before
     jumps: jax.Array  # equilibrium could not be followed somewhere on the way
+    first_gap: jax.Array  # the gap at the last softening
     rests: jax.Array
     settled: jax.Array
     inner: jax.Array  # steps at this softening so far
     count: jax.Array
 
 
+STEP, WHERE, OVER, BETWEEN, DONE = 0, 1, 2, 3, 4  # what a point is after in a walk
+
+
+class Course(NamedTuple):
+    """The walks of a point, one after the other."""
+
+    stage: jax.Array
+    share: jax.Array  # of the way to the strain asked for, where it walks
+    low: jax.Array  # share up to which equilibrium can be followed
+    high: jax.Array  # and at which it has been lost
+    last: jax.Array  # the share before, and the gap there
+    gap: jax.Array
+    jump: jax.Array  # where the walk starts
+    softening: jax.Array
+    found: Solution
+    walks: jax.Array
+
+
 def search(embedding, band, strain, precision, found, settled):
-    """The `Solution` of those points that are not `settled`, and what was `found` of the others."""
+    """The `Solution` of those points that are not `settled`, and what was `found` of the others.
+
+    Where a walk cannot be followed it is walked again, to see what energy that sets free: from
+    rest to WHERE on the way the band was about to load, and OVER that by next to nothing. Where
+    the band can still be followed then, it is BETWEEN there and the end that it is lost; or
+    never, where a bulk yielded only because the step was long.
+    """
+    apart = jnp.finfo(strain.dtype).eps ** 0.5 * 8  # gap, or share of the way, next to nothing
+
+    def go(course):
+        return (course.stage != DONE).any() & (course.walks < WALKS)
+
+    def next_walk(c):
+        first, holds, over = c.stage == STEP, c.stage == WHERE, c.stage == OVER
+        at = on_the_way(embedding, band, strain, c.share)
+        start = band._replace(jump=c.jump, softening=c.softening)
+        w = _walk(embedding, start, at, precision, c.stage == DONE, holds)
+        new = _judged_walk(c, w, apart)
+        unknowns = jnp.concatenate([w.jump, w.softening[None]])
+        said = jnp.where(w.rests, RESTS, jnp.where(w.jumps, JUMPS, LOADS))
+        lost = w.jumps & w.settled
+        # the last walk tells whether it is lost at all
+        status = jnp.where(first, said, jnp.where(over | (c.stage == BETWEEN), jnp.where(lost, JUMPS, LOADS), c.found.status))
+        status = jnp.where(w.settled, status, FAILS).astype(jnp.int32)
+        leap = Leap(c.share, w.held, c.softening, w.jump, w.softening)
+        found = Solution(
+            jnp.where(first, unknowns, c.found.unknowns),
+            status,
+            c.found.free,
+            jax.tree.map(lambda old, new: jnp.where(lost, new, old), c.found.leap, leap),
+        )
+        new = new._replace(found=found, stage=jnp.where(w.settled, new.stage, DONE))
+        kept = jax.tree.map(lambda old, fresh: jnp.where(c.stage == DONE, old, fresh), c, new)
+        return kept._replace(walks=c.walks + 1)
+
+    one, infinite = jnp.ones_like(band.softening), jnp.full_like(band.softening, jnp.inf)
+    course = Course(
+        stage=jnp.where(settled, DONE, STEP),
+        share=one,
+        low=0 * one,
+        high=one,
+        last=one,
+        gap=infinite,
+        jump=band.jump,
+        softening=band.softening,
+        found=found,
+        walks=jnp.zeros((), int),
+    )
+    course = lax.while_loop(go, next_walk, course)
+    # what is not known after so many walks has no status that is true
+    status = jnp.where(course.stage == DONE, course.found.status, FAILS).astype(jnp.int32)
+    leap = course.found.leap
+    at = on_the_way(embedding, band, strain, leap.share)
+    free = freed(embedding, band._replace(softening=leap.before), at, leap)
+    return course.found._replace(status=status, free=jnp.where(status == JUMPS, free, 0.0))
+
+
+def _judged_walk(c, w, apart):
+    """The `Course` after a walk: what a point is after next, and where."""
+    first, holds, over, between = (c.stage == k for k in (STEP, WHERE, OVER, BETWEEN))
+    lost = w.jumps
+    # the gap at the last softening tells where the band is about to load; an oblique one may be
+    # from the very begin
+    gap = jnp.where(first, w.first_gap, w.gap)
+    low = jnp.where(holds & (gap <= 0) | (over | between) & ~lost, c.share, c.low)
+    high = jnp.where(holds & (gap > 0) | between & lost, c.share, c.high)
+    here = (gap > 0) & ((gap <= apart) | (high - low <= apart / 4 * high) | (high <= LEAST))
+    pinched = high - low <= PINCHED * high
+    stage = jnp.where(first & lost | holds & ~here, WHERE, DONE)
+    stage = jnp.where(holds & here, OVER, stage)
+    stage = jnp.where(over & ~lost | between & ~(pinched & lost) & (low < 1), BETWEEN, stage)
+    # it may be lost anywhere up to the end, once it is not lost where the band begins to load
+    high = jnp.where(over & ~lost, 1.0, high)
+    middle = jnp.where(pinched, high, jnp.sqrt(low * high))
+    share = jnp.where(stage == WHERE, _share(c, gap - apart / 2, low, high), c.share)
+    follows = (over | between) & ~lost
+    return c._replace(
+        stage=jnp.where(between & ~lost & pinched & (c.share >= high), DONE, stage),
+        share=jnp.where(stage == BETWEEN, middle, share),
+        low=low,
+        high=high,
+        last=c.share,
+        gap=gap - apart / 2,
+        jump=jnp.where(follows | holds, w.jump, c.jump),
+        softening=jnp.where(follows, w.softening, c.softening),
+    )
+
+
+def _share(c, gap, low, high):
+    """The share of the way to try next for a gap of zero: by the secant, or less of the bracket."""
+    known = jnp.isfinite(c.gap) & (c.gap != gap)
+    secant = c.share - gap * (c.share - c.last) / jnp.where(known, gap - c.gap, 1.0)
+    # alone, as if what drives the band grew with the share
+    to = jnp.where(known, secant, c.share * jnp.exp(-gap))
+    good = (to > low) & (to < high) & (jnp.abs(gap) <= jnp.abs(c.gap) / 2)
+    return jnp.where(good, to, jnp.where(low > 0, (low + high) / 2, high / 16))
+
+
+def _walk(embedding, band, strain, precision, settled, holds):
+    """The `Walk` from a band at a strain; those that it `holds` only balance their jump."""
     close = gap_tolerance(precision, band.softening)
     least = _least_stiffness(embedding, band, strain)
 
@@ -83,10 +206,13 @@ def search(embedding, band, strain, precision, found, settled):
         turns = even & (w.closed != _closed(embedding, band, w.jump)) & ~w.turned
         even &= ~turns
         w, loads, settled = _judged(w, even, gap, close, band.softening)
+        settled |= even & holds
         softening = jnp.where(even & ~settled, _next(w, parts, gap), w.softening)
         step = _along(w.step, w.jump, rest, -tensor.solve(parts.stiffness, rest), even | turns)
         ahead = jnp.clip(softening - w.softening, -GUESS, GUESS)
         to = step.base + step.share * step.whole - parts.by_softening * ahead
+        lost = loads & ~(parts.slope < 0) & ~settled
+        at_first = even & (w.softening == band.softening)
         return w._replace(
             jump=jnp.where(settled | turns, w.jump, to),
             softening=softening,
@@ -94,7 +220,8 @@ def search(embedding, band, strain, precision, found, settled):
             closed=w.closed != turns,
             turned=~even & (w.turned | turns),
             pace=jnp.where(even, 2 * w.pace, w.pace),
-            jumps=w.jumps | (loads & ~(parts.slope < 0) & ~settled),
+            jumps=w.jumps | lost,
+            first_gap=jnp.where(at_first, gap, w.first_gap),
             settled=settled,
             inner=jnp.where(even, 0, w.inner + 1),
         )
@@ -105,13 +232,7 @@ def search(embedding, band, strain, precision, found, settled):
         return new._replace(count=w.count + 1)
 
     go = lambda w: ((~w.settled) & (w.inner < INNER)).any() & (w.count < STEPS)  # noqa: E731
-    walk = lax.while_loop(go, kept, _start(embedding, band, settled))
-    unknowns = jnp.concatenate([walk.jump, walk.softening[None]])
-    status = jnp.where(walk.rests, RESTS, jnp.where(walk.jumps, JUMPS, LOADS))
-    status = jnp.where(walk.settled, status, FAILS).astype(jnp.int32)
-    freed = fall(embedding, band, strain, walk.held, walk.jump, walk.softening)
-    searched = Solution(unknowns, freed, status)
-    return jax.tree.map(lambda old, new: jnp.where(settled, old, new), found, searched)
+    return lax.while_loop(go, kept, _start(embedding, band, settled))
 
 
 def _start(embedding, band, settled):
@@ -129,6 +250,7 @@ def _start(embedding, band, settled):
         gap=jnp.inf * one,
         slow=no,
         jumps=no,
+        first_gap=0 * one,
         rests=no,
         settled=settled,
         inner=0 * no,
