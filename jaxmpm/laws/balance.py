@@ -7,9 +7,9 @@ Unknowns are the jump [u] and, where the band loads, its softening p:
 Along the jumps that balance r the gap is a function of p alone. It is positive at the last p
 where the band loads, and negative in the end, since a band without cohesion opens no further:
 so there is always a solution (in a bulk that is elastic or hardens), and the first one beyond
-the last p is the state that the point comes to. A slope of the gap that is not negative means that equilibrium cannot be followed
-(beyond H_max, or where a band with an oblique normal sheds its shear): the state jumps to the
-next solution, and the energy that comes free is accounted for.
+the last p is the state that the point comes to. A slope of the gap that is not negative means
+that equilibrium cannot be followed (beyond H_max, or where a band with an oblique normal sheds
+its shear): the state jumps to the next solution, and the energy that comes free is accounted for.
 
 Newton on both unknowns settles nearly every point in a few steps. What it does not settle, or
 settles across a jump, goes to a bracketed search on p.

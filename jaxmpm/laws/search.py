@@ -101,7 +101,8 @@ def search(embedding, band, strain, precision, found, settled):
     the band can still be followed then, it is BETWEEN there and the end that it is lost; or
     never, where a bulk yielded only because the step was long.
     """
-    apart = jnp.finfo(strain.dtype).eps ** 0.5 * 8  # gap, or share of the way, next to nothing
+    # gap, or difference in the share of the way, that is next to nothing
+    apart = max(8 * float(jnp.finfo(strain.dtype).eps) ** 0.5, 4 * precision)
 
     def go(course):
         return (course.stage != DONE).any() & (course.walks < WALKS)
@@ -160,7 +161,8 @@ def _judged_walk(c, w, apart):
     gap = jnp.where(first, w.first_gap, w.gap)
     low = jnp.where(holds & (gap <= 0) | (over | between) & ~lost, c.share, c.low)
     high = jnp.where(holds & (gap > 0) | between & lost, c.share, c.high)
-    here = (gap > 0) & ((gap <= apart) | (high - low <= apart / 4 * high) | (high <= LEAST))
+    pinched_here = high - low <= apart / 4 * high
+    here = pinched_here | ((gap > 0) & ((gap <= apart) | (high <= LEAST)))
     pinched = high - low <= PINCHED * high
     stage = jnp.where(first & lost | holds & ~here, WHERE, DONE)
     stage = jnp.where(holds & here, OVER, stage)
@@ -168,7 +170,8 @@ def _judged_walk(c, w, apart):
     # it may be lost anywhere up to the end, once it is not lost where the band begins to load
     high = jnp.where(over & ~lost, 1.0, high)
     middle = jnp.where(pinched, high, jnp.sqrt(low * high))
-    share = jnp.where(stage == WHERE, _share(c, gap - apart / 2, low, high), c.share)
+    share = jnp.where(pinched_here, high, c.share)
+    share = jnp.where(stage == WHERE, _share(c, gap - apart / 2, low, high), share)
     follows = (over | between) & ~lost
     return c._replace(
         stage=jnp.where(between & ~lost & pinched & (c.share >= high), DONE, stage),

@@ -451,3 +451,17 @@ def test_an_intact_band_balances_at_no_strain_though_it_fills_the_cell():
         for factor in (0.0, 1e-3, 0.5):
             found = respond(embedding, band, factor * band.onset_strain, 1e-11)
             assert (np.asarray(found.status) == balance.RESTS).all()
+
+
+@pytest.mark.parametrize("precision", [1e-5, 1e-8])
+def test_coarse_precision_settles_as_well(precision):
+    """Bands with oblique normals, many of which lose equilibrium, at the precision of a scene."""
+    rng = np.random.default_rng(5)
+    for _ in range(4):
+        embedding, band = random_points(rng, 3, "released", tilt=0.6)
+        for factor in 10 ** rng.uniform(-4, 1, (4, COUNT)):
+            ask = band.onset_strain * (1 + factor) + 0.3 * factor * rng.normal(size=(3, COUNT)) * 1e-4
+            found = respond(embedding, band, ask, precision)
+            assert (np.asarray(found.status) != balance.FAILS).all()
+            assert (np.asarray(found.band.released - band.released) > -1e-12).all()
+            band = found.band
