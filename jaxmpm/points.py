@@ -32,7 +32,7 @@ class Points(NamedTuple):
     volume: jax.Array  # of the undeformed point (slots, *bins), mm³
     material: jax.Array  # index (slots, *bins)
     home: jax.Array  # position of the undeformed point (d, slots, *bins), mm
-    affine: jax.Array  # velocity gradient that APIC keeps (d, d, slots, *bins), 1/s; d = 0 without
+    affine: jax.Array  # velocity gradient that some transfers keep (d, d, slots, *bins), 1/s; d = 0 without
     window: jax.Array  # number of the first bin along each axis (d,)
 
 
