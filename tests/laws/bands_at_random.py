@@ -91,7 +91,7 @@ def opened(band, opening, spare=0.0):
     ) / band.size
 
 
-def follow(embedding, band, path, precision=1e-11):
+def follow(embedding, band, path, precision=1e-11, respond=respond):
     """Take a batch along a path of strains: the last state and all answers."""
     answers = []
     for strain in path:
@@ -101,7 +101,7 @@ def follow(embedding, band, path, precision=1e-11):
 
 
 @cache
-def states_of(kind, size, regime):
+def states_of(kind, size, regime, respond=respond):
     """Random states of a regime: embedding, state before and strain asked for."""
     rng = np.random.default_rng([size, REGIMES.index(regime)])
     embedding, band = random_points(rng, size, kind, largest=5.0)
@@ -117,7 +117,7 @@ def states_of(kind, size, regime):
     turn = rng.uniform(0.05, 0.4, COUNT) * last if regime == "sheared" else 0.01 * last
     path = [ask(k * last, 0.0, 0.0) for k in np.geomspace(5e-3, 0.7, 8)]
     path += [ask(0.85 * last, turn / 2, 0.1)]
-    band, answers = follow(embedding, band, path)
+    band, answers = follow(embedding, band, path, respond=respond)
     assert all((np.asarray(a.status) != balance.FAILS).all() for a in answers)
     end = ask(last, turn, 0.2)
     if regime == "unloading":
