@@ -32,7 +32,7 @@ class Transfer:
 
     "flip": a share `flip` of FLIP (increments), the rest PIC (values); "taylor": the same, but
     points bring their velocity gradient to the nodes too, so that those at a free edge see a
-    rotation as it is (Nakamura et al. 2023, whose increments are as here); "apic": values and an
+    rotation as it is (after the Taylor transfer of Nakamura et al. 2023, here with increments); "apic": values and an
     affine field (Jiang et al. 2015); "xpic": PIC with its smoothing undone to an order
     (Hammerquist, Nairn 2017). Measured: in a quarter turn of a block of 8×8 cells FLIP loses 7 % of the
     spin and XPIC(3) nearly all (the mass of nodes at a free edge is lumped), "taylor" 0.02 %, APIC none; of
