@@ -19,11 +19,11 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from jaxmpm import tensor
 from jaxmpm import transfer as transfers
+from jaxmpm.laws.finite import times
 from jaxmpm.points import Points, Room, rebin
 from jaxmpm.transfer import at_bins, fold, gradient, slope_at, stencil, to_nodes, to_points, unfold, value_at
-
-SYMMETRIC = {1: ((0, 0),), 2: ((0, 0), (1, 1), (0, 1)), 3: ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))}
 
 
 @dataclass(frozen=True)
@@ -163,7 +163,7 @@ def _force(n, points, w, node):
     d = n.dimension
     slopes = [slope_at(w, node, b) for b in range(d)]
     rows = [0.0] * d
-    for value, (i, j) in zip(points.stress, SYMMETRIC[d], strict=True):
+    for value, (i, j) in zip(points.stress, tensor.IN_SPACE[d], strict=True):
         rows[i] = rows[i] + value * slopes[j]
         if i != j:
             rows[j] = rows[j] + value * slopes[i]
@@ -250,15 +250,8 @@ def _xpic(n, points, w, before, after, mass):
 def _deform(model, points, w, velocity, dt):
     """Deformation and stress after a step of these nodal velocities."""
     n = model.numerics
-    d = n.dimension
-    rate = gradient(n.shape, w, velocity, d)
     old = points.deformation
-    rows = []
-    for i in range(d):
-        rows.append(jnp.stack([
-            old[i, j] + dt * sum(rate[i, k] * old[k, j] for k in range(d)) for j in range(d)
-        ]))  # fmt: skip
-    deformation = jnp.stack(rows)
+    deformation = old + dt * times(gradient(n.shape, w, velocity, n.dimension), old)
     stress = law_of(model, points).kirchhoff(deformation)
     used = points.mass > 0
     return points._replace(

@@ -12,6 +12,7 @@ import numpy as np
 
 from jaxmpm.errors import SceneError, did_you_mean, written
 from jaxmpm.laws.elastic import Elastic
+from jaxmpm.scene_check import largest_cell
 
 METHODS = ("onset", "effective", "soften", "stored", "given_up", "largest_size")
 SOFTENINGS = np.array([0.0, 1e-3, 0.1, 1.0, 5.0, 20.0])  # where the curve is looked at
@@ -97,7 +98,7 @@ def check(cls, tables, materials, grid, bands):
         for what, holds in right.items():
             if not holds:
                 raise SceneError(f"{where} {what} (with {given})")
-        limit = largest if bands.effective_size == "sqrt_area" else largest / math.sqrt(2.0)
+        limit = largest_cell(largest, bands.effective_size)
         if grid.cell > limit:
             raise SceneError(
                 f"grid.cell = {grid.cell:g}: expected at most {limit:.4g} mm with materials.{name}, "

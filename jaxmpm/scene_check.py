@@ -268,17 +268,21 @@ def _check_band(tree: dict, name: str, material: dict, problems: Problems) -> No
         return
     largest, formula, change = found
     bands = tree.get("bands")
-    area = isinstance(bands, dict) and bands.get("effective_size") == "sqrt_area"
-    # A crack along a cell's diagonal has the largest effective size.
-    cell_limit = largest if area else largest / math.sqrt(2.0)
-    if cell > cell_limit:
-        limit = math.floor(cell_limit * 1e4) / 1e4
+    limit = largest_cell(largest, bands.get("effective_size") if isinstance(bands, dict) else None)
+    if cell > limit:
+        limit = math.floor(limit * 1e4) / 1e4
         problems.add(
             ("grid", "cell"),
             f"at most {limit:g} mm with materials.{name}, whose bands snap back beyond an "
             f"effective size H_max = {formula} = {largest:.5g} mm",
             f"use a smaller cell, or a band with {change}",
         )
+
+
+def largest_cell(largest_size: float, rule: str | None) -> float:
+    """The largest cell whose bands stay within H_max, by the rule for their effective size."""
+    # A crack along a cell's diagonal has the largest effective size.
+    return largest_size if rule == "sqrt_area" else largest_size / math.sqrt(2.0)
 
 
 def _largest_size(material: dict) -> tuple[float, str, str] | None:

@@ -31,6 +31,7 @@ PAIRS = {
     4: ((0, 0), (1, 1), (2, 2), (0, 1)),
     6: ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1)),
 }
+IN_SPACE = {1: PAIRS[1], 2: PAIRS[3], 3: PAIRS[6]}  # the same by dimension, in-plane ones only
 NORMALS = {1: 1, 3: 2, 4: 3, 6: 3}  # how many direct components come first
 
 

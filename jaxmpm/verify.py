@@ -84,13 +84,9 @@ def closed_form(s, E, ft, Ep, n, h):
     return stress, h * (stress / (s * E) - stress / E)
 
 
+@jax.jit
 def pulled(embedding, strains, size):
     """A point pulled along x through some strains: stress, opening (mm) and the band, each step."""
-    return _pulled(embedding, jnp.asarray(strains), jnp.asarray(size, float))
-
-
-@jax.jit
-def _pulled(embedding, strains, size):
     one = jnp.array([1.0, 0.0, 0.0])
     onset = embedding.law.ft / embedding.bulk.E
     band = band_law.open_band(embedding, onset * one, one[:2], size)

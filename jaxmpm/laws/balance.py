@@ -41,6 +41,7 @@ from jaxmpm.laws.equilibrium import (
     on_the_way,
     parts_of,
     tolerance,
+    way_from_rest,
 )
 from jaxmpm.laws.law import jacobian
 from jaxmpm.laws.search import search
@@ -185,20 +186,21 @@ def _freed(embedding, band, strain, found):
     jumps, still = found.status == JUMPS, lax.stop_gradient
     leap = jax.tree.map(lambda leaf: jnp.where(jumps, leaf, 0.0), found.leap)
     lost = band._replace(softening=leap.before)
-    laws, whole = still((embedding, lost)), still((embedding, band, strain))
+    way = way_from_rest(embedding, band, strain)
+    laws, ends = still((embedding, lost)), still((strain, way))
     unknowns = jnp.concatenate([leap.held, leap.before[None]])
-    matrix, _ = linearised(*laws, still(on_the_way(*whole, leap.share)), unknowns)
+    matrix, _ = linearised(*laws, on_the_way(*ends, leap.share), unknowns)
     adjoint = tensor.solve(jnp.swapaxes(matrix[:-1, :-1], 0, 1), matrix[-1, :-1])
 
     def gap(embedding, band, at):
         reached = bands.answer(embedding, band, at, leap.held, leap.before)
         return reached.gap - tensor.dot(adjoint, reached.out_of_balance)
 
-    along = lambda share: gap(*laws, on_the_way(*whole, share))  # noqa: E731
+    along = lambda share: gap(*laws, on_the_way(*ends, share))  # noqa: E731
     _, growth = jax.jvp(along, (leap.share,), (jnp.ones_like(leap.share),))
-    here = gap(embedding, lost, on_the_way(embedding, band, strain, leap.share))
+    here = gap(embedding, lost, on_the_way(strain, way, leap.share))
     share = leap.share - (here - still(here)) / jnp.where(jumps, still(growth), 1.0)
-    free = freed(embedding, lost, on_the_way(embedding, band, strain, share), leap)
+    free = freed(embedding, lost, on_the_way(strain, way, share), leap)
     return jnp.where(jumps, free, 0.0)
 
 

@@ -66,14 +66,14 @@ def linearised(embedding, band, strain, unknowns, closed=None):
     return matrix, value
 
 
-def on_the_way(embedding, band, strain, share):
-    """Strain at a share of the way from a state of rest to the one asked for, (size,).
+def way_from_rest(embedding, band, strain):
+    """The way from a strain at rest to the one asked for, (size,); see `on_the_way`.
 
     The strain of the last step is not known, but one at which its jump and softening are in
     balance is: the strain asked for less an opening. In a bulk that remembers, it is no strain.
     """
     if embedding.bulk is not embedding.bulk.elastic:
-        return share * strain
+        return strain
 
     def pull(jump):
         outside = bands.bulk_strain(embedding, band, strain, jump)
@@ -82,8 +82,12 @@ def on_the_way(embedding, band, strain, share):
     stiffness, *_ = jacobian(pull, band.jump)
     reached = bands.answer(embedding, band, strain, band.jump, band.softening)
     less = -tensor.solve(stiffness, reached.out_of_balance)
-    opening = tensor.symmetric_product(band.normal, less, len(strain)) / band.size
-    return strain - (1 - share) * opening
+    return tensor.symmetric_product(band.normal, less, len(strain)) / band.size
+
+
+def on_the_way(strain, way, share):
+    """Strain at a share of the `way` to the strain asked for, (size,)."""
+    return strain - (1 - share) * way
 
 
 def parts_of(matrix):

@@ -43,7 +43,7 @@ def _determinant(f):
     return tensor.dot(f[0], tensor.cross(f[1], f[2]))
 
 
-def _times(a, b):
+def times(a, b):
     """a · b of (d, d, ...)."""
     d = range(len(a))
     return jnp.stack([jnp.stack([sum(a[i, k] * b[k, j] for k in d) for j in d]) for i in d])
@@ -53,17 +53,14 @@ def _transposed(a):
     return jnp.swapaxes(a, 0, 1)
 
 
-PAIRS = {1: tensor.PAIRS[1], 2: tensor.PAIRS[3], 3: tensor.PAIRS[6]}
-
-
 def _symmetric(matrix):
     """In-plane components of the symmetric part."""
-    return jnp.stack([(matrix[i, j] + matrix[j, i]) / 2 for i, j in PAIRS[len(matrix)]])
+    return jnp.stack([(matrix[i, j] + matrix[j, i]) / 2 for i, j in tensor.IN_SPACE[len(matrix)]])
 
 
 def _matrix(vector, d):
     table = {}
-    for value, (i, j) in zip(vector, PAIRS[d], strict=True):
+    for value, (i, j) in zip(vector, tensor.IN_SPACE[d], strict=True):
         table[i, j] = table[j, i] = value
     return jnp.stack([jnp.stack([table[i, j] for j in range(d)]) for i in range(d)])
 
@@ -94,7 +91,7 @@ class Corotated:
     def strain(self, deformation):
         """U − I with engineering shear, and R."""
         turn = rotation(deformation)
-        stretch = _symmetric(_times(_transposed(turn), deformation))
+        stretch = _symmetric(times(_transposed(turn), deformation))
         d = len(deformation)
         scale = [1.0] * d + [2.0] * (len(stretch) - d)
         shift = [1.0] * d + [0.0] * (len(stretch) - d)
@@ -104,8 +101,8 @@ class Corotated:
         """τ = R S U Rᵀ with S = C : (U − I), in-plane components, MPa."""
         strain, turn = self.strain(deformation)
         d = len(deformation)
-        first = _times(turn, _matrix(self._in_plane(strain), d))  # first Piola-Kirchhoff stress
-        return _symmetric(_times(first, _transposed(deformation)))
+        first = times(turn, _matrix(self._in_plane(strain), d))  # first Piola-Kirchhoff stress
+        return _symmetric(times(first, _transposed(deformation)))
 
     def energy(self, deformation):
         """Stored energy per undeformed volume, N/mm²."""
@@ -129,7 +126,7 @@ class NeoHookean:
         """τ = μ (b − I) + λ ln J I, in-plane components, MPa; NaN where J ≤ 0."""
         lame, shear = self._lame
         d = len(deformation)
-        left = _symmetric(_times(deformation, _transposed(deformation)))
+        left = _symmetric(times(deformation, _transposed(deformation)))
         volumetric = lame * jnp.log(_determinant(deformation)) - shear
         return jnp.stack([shear * b + (volumetric if k < d else 0.0) for k, b in enumerate(left)])
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from jaxmpm.laws.energies import freed
-from jaxmpm.laws.equilibrium import FAILS, JUMPS, LOADS, RESTS, Leap, Solution, on_the_way
+from jaxmpm.laws.equilibrium import FAILS, JUMPS, LOADS, RESTS, Leap, Solution, on_the_way, way_from_rest
 from jaxmpm.laws.walk import walk
 
 WALKS = 60  # before a point counts as failed; three are usual where equilibrium is lost
@@ -43,12 +43,14 @@ def search(embedding, band, strain, precision, found, settled):
     # gap, or difference in the share of the way, that is next to nothing
     apart = max(8 * float(jnp.finfo(strain.dtype).eps) ** 0.5, 4 * precision)
 
+    way = way_from_rest(embedding, band, strain)
+
     def go(course):
         return (course.stage != DONE).any() & (course.walks < WALKS)
 
     def next_walk(c):
         first, holds = c.stage == STEP, c.stage == WHERE
-        at = on_the_way(embedding, band, strain, c.share)
+        at = on_the_way(strain, way, c.share)
         start = band._replace(jump=c.jump, softening=c.softening)
         w = walk(embedding, start, at, precision, c.stage == DONE, holds)
         new = _judged_walk(c, w, apart)
@@ -87,7 +89,7 @@ def search(embedding, band, strain, precision, found, settled):
     # what is not known after so many walks has no status that is true
     status = jnp.where(course.stage == DONE, course.found.status, FAILS).astype(jnp.int32)
     leap = course.found.leap
-    at = on_the_way(embedding, band, strain, leap.share)
+    at = on_the_way(strain, way, leap.share)
     free = freed(embedding, band._replace(softening=leap.before), at, leap)
     return course.found._replace(status=status, free=jnp.where(status == JUMPS, free, 0.0))
 
