@@ -65,8 +65,18 @@ def _parser() -> argparse.ArgumentParser:
     plot = commands.add_parser("plot", help="draw the pictures of a result again")
     plot.add_argument("directory", metavar="DIR")
     plot.add_argument("--deformed", type=float, metavar="FACTOR", help="exaggerate the displacement")
-    plot.add_argument("--frame", type=int, default=-1, help="which frame (default: the last)")
-    plot.add_argument("--format", default="png", choices=("png", "pdf", "svg"))
+    plot.add_argument("--frame", type=int, metavar="K", help="which frame (default: the last)")
+    plot.add_argument(
+        "--field", default="material", metavar="FIELD",
+        help="what colours the body: material, stress, speed, displacement, opening or damage "
+        "(default: material, with the cracks coloured by their opening)",
+    )  # fmt: skip
+    plot.add_argument("--animate", action="store_true", help="all frames, as one animation")
+    plot.add_argument("--fps", type=float, metavar="N", help="of it, frames a second (default: 10)")
+    plot.add_argument(
+        "--format", choices=("png", "pdf", "svg", "gif", "mp4"),
+        help="of pictures png (default), pdf or svg; of an animation gif (default) or mp4",
+    )  # fmt: skip
     plot.set_defaults(command=_plot)
 
     verify = commands.add_parser("verify", help="check the program against known answers")
@@ -151,14 +161,35 @@ def _scenes(options) -> int:
 def _plot(options) -> int:
     from jaxmpm import plot
 
-    directory = Path(options.directory)
-    suffix = f".{options.format}"
+    suffix = f".{_picture_format(options)}"
+    directory, look = Path(options.directory), {"field": options.field, "deformed": options.deformed}
+    target = directory / f"{plot.picture_name(**look)}{suffix}"
+    if options.animate:
+        from jaxmpm.animate import animate
+
+        print(animate(directory, target, fps=options.fps, **look))
+        return 0
+    frame = -1 if options.frame is None else options.frame
+    print(plot.plot_cracks(directory, target, frame=frame, **look))
     if "response" in plot.read_summary(directory):
         print(plot.plot_response(directory, directory / f"response{suffix}"))
-    name = "cracks" if options.deformed is None else "deformed"
-    target = directory / f"{name}{suffix}"
-    print(plot.plot_cracks(directory, target, frame=options.frame, deformed=options.deformed))
     return 0
+
+
+def _picture_format(options) -> str:
+    """Of `jaxmpm plot`; raises ResultError for options that do not go together."""
+    from jaxmpm.results import ResultError
+
+    if options.animate and options.frame is not None:
+        raise ResultError(f"--frame = {options.frame}: expected none with --animate, all are shown")
+    if not options.animate and options.fps is not None:
+        raise ResultError(f"--fps = {options.fps:g}: expected only with --animate")
+    kinds = ("gif", "mp4") if options.animate else ("png", "pdf", "svg")
+    kind = options.format or kinds[0]
+    if kind not in kinds:
+        expected = "gif or mp4 with" if options.animate else "png, pdf or svg without"
+        raise ResultError(f"--format = {kind}: expected {expected} --animate")
+    return kind
 
 
 def _verify(options) -> int:

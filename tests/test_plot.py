@@ -7,7 +7,8 @@ import sys
 import numpy as np
 import pytest
 
-from jaxmpm import plot
+from jaxmpm import plot, plot_style
+from jaxmpm.plot_body import find_body, outline
 from jaxmpm.results import History, ResultError, write_summary
 from jaxmpm.vtkhdf import PointCloudWriter
 
@@ -74,13 +75,13 @@ def png_size(path):
 @pytest.fixture
 def figures(monkeypatch):
     """The Matplotlib figures that are saved, for a look at what is in them."""
-    saved, save = [], plot._save
+    saved, save = [], plot_style.save
 
     def keep(figure, path):
         saved.append(figure)
         return save(figure, path)
 
-    monkeypatch.setattr(plot, "_save", keep)
+    monkeypatch.setattr(plot_style, "save", keep)
     return saved
 
 
@@ -95,8 +96,8 @@ def lengths(segments):
 
 
 def test_outline_is_the_perimeter_of_the_notched_plate():
-    body = plot.find_body(plate_frame(notched_plate())[0], SIZE)
-    edges = plot.outline(body)
+    body = find_body(plate_frame(notched_plate())[0], SIZE)
+    edges = outline(body)
     assert lengths(edges).sum() == pytest.approx(SIZE * (2 * (NX + NY) + 2 * NOTCH))
     assert edges.reshape(-1, 2).min(axis=0) == pytest.approx([0, 0])
     assert edges.reshape(-1, 2).max(axis=0) == pytest.approx([SIZE * NX, SIZE * NY])
@@ -109,7 +110,7 @@ def test_outline_surrounds_a_hole():
     i, j = np.indices((5, 5)).reshape(2, -1)
     keep = (i != 2) | (j != 2)
     centres = np.stack([i[keep] - 7.0, j[keep] + 3.0], axis=1)
-    assert len(plot.outline(plot.find_body(centres, 1.0))) == 20 + 4
+    assert len(outline(find_body(centres, 1.0))) == 20 + 4
 
 
 def test_segments_cross_the_cell_square_perpendicular_to_the_normal():
@@ -119,7 +120,7 @@ def test_segments_cross_the_cell_square_perpendicular_to_the_normal():
     angle = np.concatenate([rng.uniform(0, 2 * np.pi, 59), np.arange(4) * np.pi / 2])
     normal = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
     normal[::5] = 0
-    cracked, segments = plot.crack_segments(plot.find_body(centres, SIZE), normal)
+    cracked, segments = find_body(centres, SIZE).crack_segments(normal)
     assert list(cracked) == list(np.flatnonzero(normal.any(axis=1)))
     along = segments[:, 1] - segments[:, 0]
     assert np.abs((along * normal[cracked, :2]).sum(axis=1)).max() < 1e-12
@@ -130,7 +131,7 @@ def test_segments_cross_the_cell_square_perpendicular_to_the_normal():
 
 def test_segments_of_a_diagonal_crack_join_into_one_line():
     centres, data = plate_frame(notched_plate())
-    cracked, segments = plot.crack_segments(plot.find_body(centres, SIZE), data["normal"])
+    cracked, segments = find_body(centres, SIZE).crack_segments(data["normal"])
     main = segments[data["opening"][cracked] > 0.005]
     assert len(main) == 9
     assert main[1:, 0] == pytest.approx(main[:-1, 1])
@@ -141,12 +142,12 @@ def test_a_homogeneous_displacement_deforms_outline_and_segments():
     centres, data = plate_frame(notched_plate())
     stretch = np.array([[1.2, 0.1], [0.0, 0.9]])
     shift = centres[:, :2] @ (stretch - np.eye(2)).T
-    rest, moved = plot.find_body(centres, SIZE), plot.find_body(centres, SIZE, shift)
+    rest, moved = find_body(centres, SIZE), find_body(centres, SIZE, shift)
     inner = tuple(np.array([[3, 3], [8, 7], [20, 12]]).T)
     assert moved.nodes[inner] == pytest.approx(rest.nodes[inner] @ stretch.T)
     normal = np.where((centres[:, :1] - 13) ** 2 < 30, data["normal"], 0)
-    _, before = plot.crack_segments(rest, normal)
-    _, after = plot.crack_segments(moved, normal)
+    _, before = rest.crack_segments(normal)
+    _, after = moved.crack_segments(normal)
     assert len(before) > 1
     inside = (before[..., 1] > SIZE).all(axis=1)
     assert after[inside] == pytest.approx(before[inside] @ stretch.T)
@@ -154,7 +155,7 @@ def test_a_homogeneous_displacement_deforms_outline_and_segments():
 
 def test_two_halves_moved_apart_leave_a_stretched_column():
     centres = np.array([[0.5, 0.5], [1.5, 0.5], [2.5, 0.5]])
-    body = plot.find_body(centres, 1.0, np.array([[-1.0, 0], [0, 0], [1.0, 0]]))
+    body = find_body(centres, 1.0, np.array([[-1.0, 0], [0, 0], [1.0, 0]]))
     assert body.nodes[:, 0, 0] == pytest.approx([-1.0, 0.5, 2.5, 4.0])
 
 
@@ -263,16 +264,16 @@ def test_bands_that_are_all_closed_need_no_colour_bar(tmp_path, figures):
 
 def test_points_that_are_no_plane_grid_are_refused():
     with pytest.raises(ResultError, match="cell centres of a grid of 2 mm"):
-        plot.find_body(np.array([[0.0, 0, 0], [2, 0, 0], [5, 0, 0]]), 2.0)
+        find_body(np.array([[0.0, 0, 0], [2, 0, 0], [5, 0, 0]]), 2.0)
     with pytest.raises(ResultError, match="plane"):
-        plot.find_body(np.array([[0.0, 0, 0], [0, 0, 2]]), 2.0)
+        find_body(np.array([[0.0, 0, 0], [0, 0, 2]]), 2.0)
     with pytest.raises(ResultError, match="plane"):
-        plot.find_body(np.zeros((0, 3)), 2.0)
+        find_body(np.zeros((0, 3)), 2.0)
 
 
 def test_importing_the_room_loads_neither_jax_nor_matplotlib():
     code = (
-        "import sys, jaxmpm.results, jaxmpm.vtkhdf, jaxmpm.plot\n"
+        "import sys, jaxmpm.results, jaxmpm.vtkhdf, jaxmpm.plot, jaxmpm.animate\n"
         "assert not {'jax', 'matplotlib'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
@@ -281,8 +282,8 @@ def test_importing_the_room_loads_neither_jax_nor_matplotlib():
 def test_drawing_leaves_pyplot_alone(tmp_path):
     write_run(tmp_path)
     code = (
-        "import sys, jaxmpm.plot as p\n"
-        f"p.plot_response({str(tmp_path)!r}); p.plot_cracks({str(tmp_path)!r})\n"
+        "import sys, jaxmpm.plot as p, jaxmpm.animate as a\n"
+        f"[draw({str(tmp_path)!r}) for draw in (p.plot_response, p.plot_cracks, a.animate)]\n"
         "assert 'matplotlib.pyplot' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
