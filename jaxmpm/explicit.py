@@ -80,9 +80,7 @@ def with_bands(elastic, place, stress):
 def _move(model, prepared, state, internal, dt):
     """Integrate the motion and book the work of the loads and of the damping."""
     time, after = state.step * dt, (state.step + 1) * dt  # of the forces; of the new positions
-    external = jnp.zeros_like(internal).reshape(-1)
-    for load in model.forces:
-        external = external.at[load.dofs].add(load.at(time).astype(external.dtype))
+    external = external_force(model, prepared.mass, time).reshape(-1)
     out_of_balance = external.reshape(internal.shape) - internal
     damping = model.damping * jnp.abs(out_of_balance) * jnp.sign(state.velocity)
     velocity = state.velocity + (dt * prepared.mobility) * (out_of_balance - damping)
@@ -92,20 +90,27 @@ def _move(model, prepared, state, internal, dt):
         flat = flat.at[load.dofs].set((target - state.displacement.reshape(-1)[load.dofs]) / dt)
     velocity = flat.reshape(velocity.shape)
     moved = (0.5 * dt) * (state.velocity + velocity)
-    work = sum(
-        (load.at(time) @ moved.reshape(-1)[load.dofs] for load in model.forces), start=0.0
-    )
+    work = jnp.vdot(external.reshape(internal.shape) * model.free, moved)
     for load in model.displacements:
         take = lambda a: a.reshape(-1)[load.dofs]  # noqa: B023, E731
         mass = jnp.broadcast_to(prepared.mass, internal.shape)
         inertia = take(mass) * (take(velocity) - take(state.velocity)) / dt
-        work += (take(internal) - external[load.dofs] + inertia) @ take(moved)
+        work += (take(internal) + inertia) @ take(moved)
     lost = jnp.vdot(damping * model.free, moved)
     ledger = state.work._replace(
         external=state.work.external + work, damping=state.work.damping + lost
     )
     displacement = state.displacement + dt * velocity
     return state._replace(displacement=displacement, velocity=velocity, work=ledger)
+
+
+def external_force(model, mass, time):
+    """Forces of gravity and of the loads on the nodes (2, nx+1, ny+1), N."""
+    weight = mass * model.gravity.reshape(2, 1, 1)
+    external = weight.reshape(-1)
+    for load in model.forces:
+        external = external.at[load.dofs].add(load.at(time).astype(external.dtype))
+    return external.reshape(weight.shape)
 
 
 def onset_ratio(prepared, elastic, size):

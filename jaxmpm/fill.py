@@ -47,6 +47,17 @@ def _body_cells(index: int, body: Body, grid: Grid, centres, problems: Problems)
     return cells
 
 
+def owners(bodies, x, y) -> np.ndarray:
+    """Index of the body that covers each of some places (mm), -1 where there is none."""
+    owner = np.full(np.shape(x), -1)
+    for index, body in enumerate(bodies):
+        covered = np.logical_or.reduce([shape.covers(x, y) for shape in body.shapes])
+        for shape in body.minus:
+            covered &= ~shape.covers(x, y)
+        owner[covered] = index
+    return owner
+
+
 def _check_inside(path: tuple, shape, grid: Grid, problems: Problems) -> None:
     bounds = shape.bounds()
     if bounds is None:

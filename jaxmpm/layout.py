@@ -51,6 +51,7 @@ class Layout:
     origin: tuple[float, float]  # mm
     materials: tuple[str, ...]  # those in use, in the scene's order
     material: np.ndarray  # (nx, ny), index into materials, -1 where empty
+    owner: np.ndarray  # (nx, ny), index of the body, -1 where empty
     sets: dict[str, np.ndarray]  # sorted flat node indices
     velocity: np.ndarray  # (2, nx + 1, ny + 1), initial, mm/s, zero where held
     held: np.ndarray  # sorted flat dof indices
@@ -92,6 +93,7 @@ def lay_out(scene: Scene) -> Layout:
         origin=scene.grid.origin,
         materials=materials,
         material=material,
+        owner=owner,
         sets=work.sets,
         velocity=velocity,
         held=held,

@@ -15,6 +15,17 @@ class Elastic(Table):
     nu: Number = Field(gt=-1.0, lt=0.5, description="Poisson's ratio, dimensionless")
 
 
+class NeoHookean(Table):
+    """Elastic bulk for large strains, for points that move."""
+
+    law: Literal["neo_hookean"] = Field(description="law of the bulk")
+    E: Positive = Field(description="Young's modulus at small strain, MPa")
+    nu: Number = Field(gt=-1.0, lt=0.5, description="Poisson's ratio at small strain, dimensionless")
+
+
+AnyBulk = Annotated[Elastic | NeoHookean, Field(discriminator="law")]
+
+
 class Damage(Table):
     """The damage law of the localisation band (Nguyen, Eqs. 11-13)."""
 
@@ -65,5 +76,5 @@ class Material(Table):
     """A material: its bulk, and the band that a crack in it becomes."""
 
     density: Positive = Field(description="density, tonne/mm3; concrete is 2.4e-9")
-    bulk: Elastic = Field(description="law of the bulk")
+    bulk: AnyBulk = Field(description="law of the bulk")
     band: AnyBand | None = Field(None, description="law of the band; without one it never cracks")

@@ -50,6 +50,7 @@ class Model:
     embedding: Embedding  # laws of every material, leaves (materials,)
     density: jax.Array  # tonne/mm³, (materials,)
     damping: jax.Array  # local damping coefficient
+    gravity: jax.Array  # (2,), mm/s²
     material: jax.Array  # material of every cell, -1 where empty, (nx, ny)
     free: jax.Array  # 1 where a degree of freedom may move by itself, (2, nx+1, ny+1)
     displacements: tuple[Load, ...]
@@ -164,6 +165,7 @@ def from_layout(scene, layout):
         embedding=_embedding(scene, materials, array),
         density=array([material.density for material in materials.values()]),
         damping=array(scene.solver.damping),
+        gravity=array(scene.gravity),
         material=jnp.asarray(layout.material, jnp.int32),
         free=array(free.reshape(2, nx + 1, ny + 1)),
         displacements=tuple(_load(drive, array) for drive in layout.displacements),

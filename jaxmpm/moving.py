@@ -19,11 +19,15 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from jaxmpm import tensor
+from jaxmpm import carry, contact, cracks
 from jaxmpm import transfer as transfers
+from jaxmpm.bands import Pool
+from jaxmpm.explicit import needs_room
+from jaxmpm.holds import held
 from jaxmpm.laws.finite import times
+from jaxmpm.model import Ledger
 from jaxmpm.points import Points, Room, rebin
-from jaxmpm.transfer import at_bins, fold, gradient, slope_at, stencil, to_nodes, to_points, unfold, value_at
+from jaxmpm.transfer import value_at
 
 
 @dataclass(frozen=True)
@@ -54,6 +58,7 @@ class Numerics:
     transfer: Transfer = Transfer()
     order: str = "usl"  # or "usf", "musl"
     walls: tuple = ()  # for each axis what its low and high edge do: "open", "slip" or "stick"
+    fields: int = 1  # of velocity, more than one where bodies rub
 
     @property
     def affine(self):
@@ -71,10 +76,16 @@ class Numerics:
 class Model:
     """What moves, and how."""
 
-    law: Any  # a hyperelastic law: kirchhoff(F) and energy(F), leaves (materials,) or ()
+    law: Any  # a hyperelastic law: kirchhoff(H) and energy(H), leaves (materials,)
     gravity: jax.Array  # (d,), mm/s²
     numerics: Numerics = field(metadata={"static": True})
     body: Any = field(default=None, metadata={"static": True})  # acceleration(points, time), mm/s²
+    holds: tuple = ()  # supports and moved sets, see `holds`
+    forces: tuple = ()  # loads whose rows of `Points.share` say where they pull, in this order
+    cracking: cracks.Cracking | None = None
+    damping: Any = 0.0  # local damping coefficient
+    friction: Any = 0.0  # coefficient between bodies that have fields of their own
+    begin: Any = 0.0  # time of step 0, s
 
 
 class State(NamedTuple):
@@ -83,180 +94,119 @@ class State(NamedTuple):
     points: Points
     step: jax.Array
     room: Room  # asked for by the last step
+    pool: Pool | None  # of bands, `cell` the flat index of each one's point
+    failed: jax.Array  # place in the pool of a band that did not converge, or -1
+    work: Ledger
+    rubbed: jax.Array  # energy that contact has taken, N·mm
 
 
-def first_state(points):
+def first_state(points, pool=None):
     """State at the begin."""
-    no = jnp.zeros((), bool)
-    return State(points, jnp.zeros((), jnp.int32), Room(no, no))
+    no, zero = jnp.zeros((), bool), jnp.zeros((), points.mass.dtype)
+    kinetic = (points.mass * (points.velocity**2).sum(0)).sum() / 2
+    counted = jnp.zeros((), jnp.int32)
+    return State(points, counted, Room(no, no), pool, counted - 1, Ledger(kinetic, zero, zero), zero)
 
 
 def step(model, state, dt):
     """The state after one step of dt (s)."""
-    n = model.numerics
-    d = n.dimension
-    points = state.points
+    n, points = model.numerics, state.points
+    time = model.begin + state.step * dt
     w = transfers.weights(n.shape, points.place, n.cell)
-    mass, momentum = _to_grid(n, points, w, points.velocity)
+    mass, momentum = carry.mass_and_momentum(n, points, w, points.velocity)
+    before = _held(model, points, carry.velocity_of(mass, momentum), time, dt)
+    pool, failed = state.pool, state.failed
     if n.order == "usf":
-        points = _deform(model, points, w, _velocity(n, points, mass, momentum), dt)
-    force = to_nodes(n.shape, lambda node: _force(n, points, w, node), d)
-    if model.body is not None:
-        pull = points.mass * model.body(points, state.step * dt)
-        force += to_nodes(n.shape, lambda node: value_at(w, node) * pull, d)
-    force = fold(n.shape, force, points.window, n.cells)
-    before = _velocity(n, points, mass, momentum)
-    heavy, safe = _heavy(mass)
-    gravity = model.gravity.reshape(d, *[1] * d)
-    after = before + dt * (jnp.where(heavy, force / safe, 0.0) + jnp.where(heavy, gravity, 0.0))
-    after = _held(n, points, after)
-    moved = _move_points(n, points, w, before, after, mass, dt)
+        points, pool, failed = _deform(model, points, pool, w, before, dt)
+    after, ledger = _accelerate(model, points, w, mass, before, time, dt)
+    moved = carry.moved(n, points, w, before, after, mass, dt)
     if n.order == "usl":
-        moved = _deform(model, moved, w, after, dt)
+        moved, pool, failed = _deform(model, moved, pool, w, after, dt)
     elif n.order == "musl":
-        again = _to_grid(n, moved, w, moved.velocity)[1]
-        moved = _deform(model, moved, w, _velocity(n, points, mass, again), dt)
-    moved, room = rebin(moved)
-    return State(moved, state.step + 1, room)
+        again = carry.mass_and_momentum(n, moved, w, moved.velocity)[1]
+        again = _held(model, points, carry.velocity_of(mass, again), time + dt, dt)
+        moved, pool, failed = _deform(model, moved, pool, w, again, dt)
+    if model.cracking is not None:
+        moved, pool = cracks.open_bands(model, moved, pool)
+    moved, address, room = rebin(moved, None if pool is None else pool.cell)
+    pool = None if pool is None else pool._replace(cell=address)
+    work = state.work._replace(
+        external=state.work.external + ledger[0], damping=state.work.damping + ledger[1]
+    )
+    return State(moved, state.step + 1, room, pool, failed, work, state.rubbed + ledger[2])
 
 
+@jax.jit
 def advance(model, state, dt, until):
-    """Repeat `step` to step `until`, or to where a point finds no room."""
+    """Repeat `step` to step `until`, or to where the driver must look.
+
+    That is where a point finds no room, the pool of bands needs to grow, or a band did not
+    converge; nothing is lost or skipped there.
+    """
 
     def go(state):
-        return (state.step < until) & ~state.room.slots & ~state.room.window
+        on = (state.step < until) & ~state.room.slots & ~state.room.window & (state.failed < 0)
+        return on if state.pool is None else on & ~needs_room(state)
 
     return lax.while_loop(go, lambda state: step(model, state, dt), state)
 
 
-advance = jax.jit(advance)
-
-
-# ------------------------------------------------------------------ points to nodes
-
-
-def _to_grid(n, points, w, velocity):
-    """Mass (*nodes) and momentum (d, *nodes), ghosts folded in."""
-    affine = n.affine
-
-    def contribution(node):
-        share = value_at(w, node) * points.mass
-        moves = velocity
-        if affine:
-            arm = _arm(n, points, node)
-            moves = velocity + jnp.stack([sum(row[b] * arm[b] for b in range(len(arm))) for row in points.affine])
-        return jnp.concatenate([share[None], share * moves])
-
-    total = to_nodes(n.shape, contribution, n.dimension)
-    total = fold(n.shape, total, points.window, n.cells)
-    return total[0], total[1:]
-
-
-def _arm(n, points, node):
-    """From points to a node, mm, one an axis."""
-    middle = 0.5 if n.shape.centred else 0.0
-    return [(k - n.shape.lead + middle - y) * n.cell for k, y in zip(node, points.place, strict=True)]
-
-
-def _force(n, points, w, node):
-    """−V τ·∇N of a node, (d, slots, *bins)."""
-    d = n.dimension
-    slopes = [slope_at(w, node, b) for b in range(d)]
-    rows = [0.0] * d
-    for value, (i, j) in zip(points.stress, tensor.IN_SPACE[d], strict=True):
-        rows[i] = rows[i] + value * slopes[j]
-        if i != j:
-            rows[j] = rows[j] + value * slopes[i]
-    return -points.volume * jnp.stack(rows)
-
-
-def _heavy(mass):
-    """Nodes that carry more than round-off, and their mass, 1 elsewhere."""
-    heavy = mass > jnp.finfo(mass.dtype).eps * mass.max()
-    return heavy, jnp.where(heavy, mass, 1.0)
-
-
-def _velocity(n, points, mass, momentum):
-    """Velocity of the nodes, with what holds them."""
-    heavy, safe = _heavy(mass)
-    return _held(n, points, jnp.where(heavy, momentum / safe, 0.0))
-
-
-def _held(n, points, velocity):
-    """Velocities (d, *nodes) with those of the edges of the grid, ghosts continued."""
-    d = n.dimension
-    for axis, sides in enumerate(n.walls):
-        number = points.window[axis] - n.shape.lead + jnp.arange(velocity.shape[1 + axis])
-        number = number.reshape([-1 if a == axis else 1 for a in range(d)])
-        for side, at_edge in zip(sides, (number <= 0, number >= n.cells[axis]), strict=True):
-            rows = {"open": (), "slip": (axis,), "stick": range(d)}[side]
-            for row in rows:
-                velocity = velocity.at[row].set(jnp.where(at_edge, 0.0, velocity[row]))
-    return unfold(n.shape, velocity, points.window, n.cells)
-
-
-# ------------------------------------------------------------------ nodes to points
-
-
-def _move_points(n, points, w, before, after, mass, dt):
-    """Places and velocities after the step."""
-    d, kind = n.dimension, n.transfer.kind
-    carried = to_points(n.shape, w, after, d)
-    used = points.mass > 0
-    if kind in ("flip", "taylor"):
-        change = to_points(n.shape, w, after - before, d)
-        flip = n.transfer.flip
-        velocity = points.velocity + change
-        if flip != 1:
-            velocity = flip * velocity + (1 - flip) * carried
-        if kind == "taylor":
-            points = points._replace(affine=gradient(n.shape, w, after, d))
-    elif kind == "apic":
-        velocity = carried
-        points = points._replace(affine=_affine(n, points, w, after))
-    else:
-        velocity = _xpic(n, points, w, before, after, mass)
-    place = points.place + jnp.where(used, dt / n.cell * carried, 0.0)
-    return points._replace(place=place, velocity=jnp.where(used, velocity, 0.0))
-
-
-def _affine(n, points, w, velocity):
-    """Affine velocity field of APIC: Σ N v ⊗ (x_i − x_p) D⁻¹, D of the B-splines; else ∇v."""
-    d = n.dimension
-    inverse = {"Quadratic": 4.0, "Cubic": 3.0}.get(type(n.shape).__name__)
-    if inverse is None:
-        return gradient(n.shape, w, velocity, d)
-    total = 0.0
-    for node in stencil(n.shape, d):
-        arm = jnp.stack(_arm(n, points, node))
-        share = value_at(w, node) * at_bins(n.shape, velocity, node, d)
-        total = total + share[:, None] * arm[None]
-    return total * (inverse / n.cell**2)
-
-
-def _xpic(n, points, w, before, after, mass):
-    """(I − (I − S S⁺)^m) v + Σ N (v_new − v_old): what the grid does not see is filtered out."""
-    d = n.dimension
-    left = points.velocity
-    for k in range(n.transfer.order):
-        if k == 0:
-            seen = before
-        else:
-            seen = _velocity(n, points, mass, _to_grid(n, points, w, left)[1])
-        left = left - to_points(n.shape, w, seen, d)
-    return points.velocity - left + to_points(n.shape, w, after - before, d)
-
-
-def _deform(model, points, w, velocity, dt):
-    """Deformation and stress after a step of these nodal velocities."""
+def _held(model, points, velocity, time, dt):
+    """Nodal velocities as walls and holds have them, ghosts continued."""
     n = model.numerics
-    old = points.deformation
-    deformation = old + dt * times(gradient(n.shape, w, velocity, n.dimension), old)
-    stress = law_of(model, points).kirchhoff(deformation)
+    velocity = held(n, model.holds, points, velocity, time, dt)
+    return transfers.unfold(n.shape, velocity, points.window, n.cells)
+
+
+def _accelerate(model, points, w, mass, before, time, dt):
+    """Nodal velocities after the step; work of loads and supports, of damping and of contact, N·mm."""
+    n = model.numerics
+    carries, safe = (each[:, None] for each in carry.heavy(mass))
+    per_mass = lambda force: jnp.where(carries, force / safe, 0.0)  # noqa: E731
+    internal = carry.internal_force(n, points, w)
+    push = internal + _external(model, points, w, mass, time)
+    damping = model.damping * jnp.abs(push) * jnp.sign(before)
+    free = before + dt * per_mass(push - damping)
+    rubbed = free
+    if n.fields > 1:
+        rubbed = contact.rub(n, mass, carry.mass_arm(n, points, w), free, model.friction)
+    after = _held(model, points, rubbed, time + dt, dt)
+    middle = jnp.where(carries, (before + after) / 2, 0.0)
+    by_contact = (mass[:, None] * (rubbed - free) * middle).sum()
+    by_damping = dt * (damping * middle).sum()
+    change = (mass[:, None] * (after - before) * middle).sum()
+    external = change - dt * (internal * middle).sum() + by_damping - by_contact
+    return after, (external, by_damping, -by_contact)
+
+
+def _external(model, points, w, mass, time):
+    """Forces of gravity, of loads and of a body force, (fields, d, *nodes), N."""
+    n = model.numerics
+    force = mass[:, None] * model.gravity.reshape(n.dimension, *[1] * n.dimension)
+    pulls = 0.0
+    for k, load in enumerate(model.forces):
+        share = points.share[n.dimension * k : n.dimension * (k + 1)]
+        pulls = pulls + load.amplitude(time) * share
+    if model.body is not None:
+        pulls = pulls + points.mass * model.body(points, time)
+    if jnp.ndim(pulls):
+        force = force + carry.to_fields(n, points, lambda node: value_at(w, node) * pulls)
+    return force
+
+
+def _deform(model, points, pool, w, velocity, dt):
+    """Deformation and stress after a step of these nodal velocities."""
+    n, old = model.numerics, points.gradient
+    rate = carry.velocity_gradient(n, points, w, velocity)
+    gradient = old + dt * (rate + times(rate, old))
+    stress = law_of(model, points).kirchhoff(gradient)
     used = points.mass > 0
-    return points._replace(
-        deformation=jnp.where(used, deformation, old), stress=jnp.where(used, stress, 0.0)
+    points = points._replace(
+        gradient=jnp.where(used, gradient, 0.0), stress=jnp.where(used, stress, 0.0)
     )
+    if model.cracking is None:
+        return points, pool, jnp.full((), -1, jnp.int32)
+    return cracks.solve(model, points, pool)
 
 
 def law_of(model, points):
@@ -265,8 +215,13 @@ def law_of(model, points):
     return jax.tree.map(lambda leaf: own(leaf) if jnp.ndim(leaf) else leaf, model.law)
 
 
-def energies(model, points):
-    """Kinetic and stored energy of all points, N·mm."""
+def energies(model, points, pool=None):
+    """Kinetic, stored and dissipated energy of all points, N·mm."""
     kinetic = (points.mass * (points.velocity**2).sum(0)).sum() / 2
-    stored = law_of(model, points).energy(points.deformation)
-    return kinetic, jnp.where(points.mass > 0, points.volume * stored, 0.0).sum()
+    intact = (points.mass > 0) & (points.band == 0)
+    stored = law_of(model, points).energy(points.gradient)
+    stored = jnp.where(intact, points.volume * stored, 0.0).sum()
+    if pool is None:
+        return kinetic, stored, jnp.zeros_like(stored)
+    in_bands, dissipated = cracks.energies(model, points, pool)
+    return kinetic, stored + in_bands, dissipated

@@ -50,7 +50,7 @@ def read(model, state, dt) -> Reading:
     jump = jnp.where(at.used, jnp.hypot(*at.bands.jump), 0.0)
     return Reading(
         time=(state.step - 1) * dt,
-        gauges=_gauges(model, at.displacement, force, at.time),
+        gauges=_gauges(model, at, force),
         external=state.work.external + state.work.initial,
         stored=volume * (mean / 2 + total(stored)) + n.thickness * bend / 2 + half_step,
         kinetic=(at.prepared.mass * (state.velocity**2).sum(0)).sum() / 2,
@@ -84,12 +84,9 @@ class _Cells:
         self.bands = bands.current(pool, model.embedding, material, flat, n.size)
 
 
-def _gauges(model, displacement, internal, time):
-    external = jnp.zeros_like(internal).reshape(-1)
-    for load in model.forces:
-        external = external.at[load.dofs].add(load.at(time).astype(external.dtype))
-    reaction = internal.reshape(-1) - external
-    source = {True: reaction, False: displacement.reshape(-1)}
+def _gauges(model, at, internal):
+    external = explicit.external_force(model, at.prepared.mass, at.time)
+    source = {True: (internal - external).reshape(-1), False: at.displacement.reshape(-1)}
     return {name: source[g.reaction][g.dofs] @ g.weights for name, g in model.gauges.items()}
 
 

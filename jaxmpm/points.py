@@ -26,13 +26,16 @@ class Points(NamedTuple):
 
     place: jax.Array  # y in the bin (d, slots, *bins), dimensionless
     velocity: jax.Array  # (d, slots, *bins), mm/s
-    deformation: jax.Array  # gradient F (d, d, slots, *bins)
+    gradient: jax.Array  # of the displacement, H = F − I (d, d, slots, *bins)
     stress: jax.Array  # Kirchhoff stress τ = J σ (size, slots, *bins), MPa
     mass: jax.Array  # 0 where a slot is free (slots, *bins), tonne
     volume: jax.Array  # of the undeformed point (slots, *bins), mm³
     material: jax.Array  # index (slots, *bins)
     home: jax.Array  # position of the undeformed point (d, slots, *bins), mm
     affine: jax.Array  # velocity gradient that some transfers keep (d, d, slots, *bins), 1/s; d = 0 without
+    band: jax.Array  # place of its band in the pool plus 1, 0 without one (slots, *bins)
+    body: jax.Array  # which velocity field it moves in (slots, *bins)
+    share: jax.Array  # of forces and gauges, see `hand_over` (k, slots, *bins)
     window: jax.Array  # number of the first bin along each axis (d,)
 
 
@@ -43,7 +46,11 @@ class Room(NamedTuple):
     window: jax.Array  # a point wants to leave the window
 
 
-PER_POINT = ("place", "velocity", "deformation", "stress", "mass", "volume", "material", "home", "affine")
+INTEGERS = ("material", "band", "body")
+PER_POINT = (
+    "place", "velocity", "gradient", "stress", "mass", "volume", "material", "home", "affine",
+    "band", "body", "share",
+)  # fmt: skip
 
 
 def slots_of(points):
@@ -61,7 +68,8 @@ def in_bins(position, fields, origin, cell, centred, slots=None, bins=None, wind
 
     Args:
         position: (d, count), mm.
-        fields: the other fields of `Points` by name, (..., count).
+        fields: the other fields of `Points` by name, (..., count); `affine`, `band`, `body` and
+            `share` may be left out.
         origin: of the grid (d,), mm.
         cell: side of a cell, mm.
         centred: whether bins surround nodes, see `shape_functions`.
@@ -69,6 +77,9 @@ def in_bins(position, fields, origin, cell, centred, slots=None, bins=None, wind
     """
     dtype = fields["mass"].dtype
     dimension, count = position.shape
+    none = {name: np.zeros(count, int) for name in INTEGERS}
+    none |= {"share": np.zeros((0, count)), "affine": np.zeros((0, 0, count))}
+    fields = none | fields
     y = (position - np.reshape(origin, (-1, 1))) / cell + (0.5 if centred else 0.0)
     bin_of = np.floor(y).astype(int)
     y = y - bin_of
@@ -88,7 +99,8 @@ def in_bins(position, fields, origin, cell, centred, slots=None, bins=None, wind
         out[..., slot, flat] = values
         return jnp.asarray(out.reshape(*values.shape[:-1], slots, *bins))
 
-    rest = {name: put(fields[name], np.int32 if name == "material" else dtype) for name in PER_POINT[1:]}
+    kind = lambda name: np.int32 if name in INTEGERS else dtype  # noqa: E731
+    rest = {name: put(fields[name], kind(name)) for name in PER_POINT[1:]}
     return Points(place=put(y, dtype), window=jnp.asarray(window, jnp.int32), **rest)
 
 
@@ -112,36 +124,45 @@ def listed(points, origin, cell, centred):
 # ------------------------------------------------------------------ changing bins
 
 
-def rebin(points):
-    """Points whose place has left their bin, in the bin where they are; and the `Room` needed."""
+def rebin(points, address=None):
+    """Put points whose place has left their bin into the bin where they are.
+
+    Args:
+        points: with places that may be outside [0, 1).
+        address: flat index over (slots, *bins) of the point of each band, kept up to date.
+
+    Returns:
+        (points, address, the `Room` there was not)
+    """
+    address = jnp.zeros((0,), jnp.int32) if address is None else address
     outside = ((points.place < 0) | (points.place >= 1)).any(0) & (points.mass > 0)
     full = jnp.zeros((), bool)
     rest = Room(full, full)
-    return lax.cond(outside.any(), _move_all, lambda p, _: (p, rest), points, outside)
+    stay = lambda points, address, _: (points, address, rest)  # noqa: E731
+    return lax.cond(outside.any(), _move_all, stay, points, address, outside)
 
 
-def _move_all(points, outside):
+def _move_all(points, address, outside):
     """Move those outside in batches; each batch sees where the ones before it have gone."""
     waiting = outside.reshape(-1)
 
     def go(carry):
-        _, waiting, _ = carry
-        return waiting.any()
+        return carry[2].any()
 
     def batch(carry):
-        points, waiting, room = carry
+        points, address, waiting, room = carry
         count = waiting.shape[0]
         index = jnp.nonzero(waiting, size=min(MOVERS, count), fill_value=count)[0]
-        points, more = _move(points, index)
+        points, address, more = _move(points, address, index)
         room = Room(room.slots | more.slots, room.window | more.window)
-        return points, waiting.at[index].set(False, mode="drop"), room
+        return points, address, waiting.at[index].set(False, mode="drop"), room
 
     no = jnp.zeros((), bool)
-    points, _, room = lax.while_loop(go, batch, (points, waiting, Room(no, no)))
-    return points, room
+    points, address, _, room = lax.while_loop(go, batch, (points, address, waiting, Room(no, no)))
+    return points, address, room
 
 
-def _move(points, index):
+def _move(points, address, index):
     """Move the points with flat indices `index` over (slots, *bins), the number of all for none."""
     bins, slots = bins_of(points), slots_of(points)
     total = int(np.prod(bins))
@@ -168,11 +189,13 @@ def _move(points, index):
     moved = taken | {"place": _in_bin(taken["place"], step)}
     new = {}
     for name, a in flat.items():
-        if name in ("mass", "volume"):
+        if name in ("mass", "volume", "band"):
             a = a.at[:, jnp.where(fits, index, end)].set(0, mode="drop")
         new[name] = a.at[:, to].set(moved[name], mode="drop").reshape(getattr(points, name).shape)
+    band = jnp.where(fits & (taken["band"][0] > 0), taken["band"][0] - 1, address.shape[0])
+    address = address.at[band].set(to.astype(address.dtype), mode="drop")
     room = Room((wants & ~fits).any(), (meant & ~inside).any())
-    return points._replace(**new), room
+    return points._replace(**new), address, room
 
 
 def _in_bin(place, step):

@@ -24,6 +24,24 @@ def direction_cosines(direction: str | float) -> tuple[float, float]:
     return cosines({"x": 0.0, "y": 90.0}.get(direction, direction))
 
 
+Edge = Annotated[
+    Literal["stop", "open", "slip", "stick"],
+    Field(
+        description="stop: the run stops before a point leaves; open: points leave and are counted; "
+        "slip: no motion across; stick: no motion"
+    ),
+]
+
+
+class Walls(Table):
+    """What the edges of the grid do to points that move."""
+
+    left: Edge = "stop"
+    right: Edge = "stop"
+    bottom: Edge = "stop"
+    top: Edge = "stop"
+
+
 class Grid(Table):
     """The Cartesian grid."""
 
@@ -32,6 +50,7 @@ class Grid(Table):
     cell: Positive = Field(description="side of a square cell, mm")
     stress_state: Literal["plane_stress", "plane_strain"] = Field(description="the stress state")
     thickness: Positive = Field(description="thickness out of the plane, mm")
+    walls: Walls = Field(Walls(), description="what the edges of the grid do to points that move")
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -195,10 +214,58 @@ class Bands(Table):
         return value
 
 
+class Points(Table):
+    """How points move through the grid."""
+
+    per_side: Annotated[Count, Field(ge=1, le=8)] = Field(
+        2, description="points along each side of a cell"
+    )
+    shape: Literal["linear", "gimp", "quadratic", "cubic"] = Field(
+        "linear", description="shape functions of the grid"
+    )
+    transfer: Literal["taylor", "flip", "apic", "xpic"] = Field(
+        "taylor", description="how velocities go to the grid and back"
+    )
+    flip: Annotated[Number, Field(ge=0.0, le=1.0)] = Field(
+        1.0, description="share of FLIP in taylor and flip, the rest is PIC, dimensionless"
+    )
+    xpic_order: Annotated[Count, Field(ge=1, le=10)] = Field(2, description="order m of XPIC(m)")
+    order: Literal["usf", "usl", "musl"] = Field(
+        "usl", description="when stresses are updated: first, last, or last by velocities mapped anew"
+    )
+
+
+class Contact(Table):
+    """How bodies meet that move."""
+
+    kind: Literal["stick", "friction"] = Field(
+        "stick",
+        description="stick: through the grid, without slip; friction: each in a velocity field of its own",
+    )
+    between: Literal["bodies", "fragments"] = Field(
+        "bodies", description="what has a field of its own; fragments are found at the hand-over"
+    )
+    friction: Annotated[Number, Field(ge=0.0)] = Field(
+        0.3, description="coefficient of friction, dimensionless"
+    )
+
+
 class Solver(Table):
     """How time is stepped."""
 
     kind: Literal["explicit"] = Field("explicit", description="the solver")
+    frame: Literal["auto", "total", "updated"] = Field(
+        "auto",
+        description="total: a body that hardly moves; updated: points that move; auto: total until "
+        "the motion asks for updated",
+    )
+    hand_over_gradient: Positive = Field(
+        0.005,
+        description="displacement gradient of an uncracked cell at which auto hands over, dimensionless",
+    )
+    hand_over_displacement: Positive | None = Field(
+        None, description="displacement at which auto hands over, mm; a cell if left out"
+    )
     duration: Positive = Field(description="time to simulate, s")
     time_step_factor: Annotated[Number, Field(gt=0.0, lt=1.0)] = Field(
         0.9, description="time step over the largest stable one, dimensionless"
@@ -237,7 +304,10 @@ class Scene(Table):
     forces: tuple[Force, ...] = Field((), description="what is pulled")
     gauges: dict[str, AnyGauge] = Field({}, description="what is measured, by name")
     response: Response | None = Field(None, description="the gauges of the response curve")
+    gravity: Pair = Field((0.0, 0.0), description="acceleration [x, y], mm/s2")
     bands: Bands = Field(Bands(), description="how bands sit in their cells")
+    points: Points = Field(Points(), description="how points move through the grid")
+    contact: Contact = Field(Contact(), description="how bodies meet that move")
     solver: Solver = Field(description="how time is stepped")
     output: Output = Field(Output(), description="how much is written")
 

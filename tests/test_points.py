@@ -21,10 +21,10 @@ def scattered(shape, dimension=2, count=300, dtype=float, seed=0, **room):
     size = dimension * (dimension + 1) // 2
     fields = {
         "velocity": rng.normal(size=(dimension, count)).astype(dtype),
-        "deformation": np.broadcast_to(np.eye(dimension, dtype=dtype)[..., None], (dimension, dimension, count)),
+        "gradient": rng.normal(size=(dimension, dimension, count)).astype(dtype),
         "stress": rng.normal(size=(size, count)).astype(dtype),
         "mass": (1.0 + np.arange(count)).astype(dtype), "volume": rng.uniform(1, 2, count).astype(dtype),
-        "material": np.zeros(count, int), "home": x.astype(dtype), "affine": np.zeros((0, 0, count), dtype),
+        "material": np.zeros(count, int), "home": x.astype(dtype), "band": 1 + np.arange(count),
     }  # fmt: skip
     bins = (10 + shape.centred,) * dimension
     return x, fields, in_bins(x, fields, origin, CELL, shape.centred, bins=bins, window=(0,) * dimension, **room)
@@ -47,6 +47,7 @@ def test_points_that_wander_are_neither_lost_nor_doubled(dimension):
     shape = Quadratic()
     x, fields, points = scattered(shape, dimension, slots=120 if dimension == 1 else 20)
     move = jax.jit(rebin)
+    address = jnp.zeros(len(x[0]), jnp.int32)
     rng = np.random.default_rng(1)
     of = np.asarray(points.mass) > 0
     for _ in range(50):
@@ -61,7 +62,7 @@ def test_points_that_wander_are_neither_lost_nor_doubled(dimension):
         which = np.where(mass > 0, mass - 1, 0).astype(int)
         for a in range(dimension):
             step[a] = np.where(mass > 0, shift[a][which], 0.0)
-        points, room = move(points._replace(place=points.place + step))
+        points, address, room = move(points._replace(place=points.place + step), address)
         assert not bool(room.slots) and not bool(room.window)
         used = np.asarray(points.mass) > 0
         places = np.asarray(points.place)[:, used]
@@ -72,6 +73,11 @@ def test_points_that_wander_are_neither_lost_nor_doubled(dimension):
     np.testing.assert_allclose(found[:, order], x, rtol=0, atol=1e-12)
     for name, value in fields.items():
         np.testing.assert_array_equal(other[name][..., order], value)
+    # the band of each point knows where it is, once it has moved
+    there = np.asarray(points.band).reshape(-1)[np.asarray(address)]
+    moved = np.asarray(address) > 0
+    assert moved.sum() > 200
+    np.testing.assert_array_equal(there[moved], 1 + np.flatnonzero(moved))
     # a slot that has been left has no volume either: its stress would pull as a ghost's
     assert (np.asarray(points.volume)[~used] == 0).all()
 
@@ -81,7 +87,7 @@ def test_a_point_without_room_stays_and_says_so():
     full = np.asarray((points.mass > 0).all(0))
     assert full.any() and not full.all()
     # everything one bin to the right, into bins that are full too
-    points, room = jax.jit(rebin)(points._replace(place=jnp.where(points.mass > 0, points.place + 1, 0.0)))
+    points, _, room = jax.jit(rebin)(points._replace(place=jnp.where(points.mass > 0, points.place + 1, 0.0)))
     assert bool(room.slots) and not bool(room.window)
     assert float(points.mass.sum()) == fields["mass"].sum()
     more = in_bins(*listed(points, ORIGIN[:1], CELL, False), ORIGIN[:1], CELL, False, slots=3 * slots_of(points))
@@ -89,7 +95,7 @@ def test_a_point_without_room_stays_and_says_so():
     np.testing.assert_allclose(np.sort(listed(more, ORIGIN[:1], CELL, False)[0]), np.sort(x) + CELL, atol=1e-12)
     # and out of the window
     away = points._replace(place=jnp.where(points.mass > 0, points.place - 20.0, 0.0))
-    away, room = jax.jit(rebin)(away)
+    away, _, room = jax.jit(rebin)(away)
     assert bool(room.window) and float(away.mass.sum()) == fields["mass"].sum()
 
 

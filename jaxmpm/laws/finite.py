@@ -1,8 +1,12 @@
-"""Hyperelastic laws for motion of any size: stress from the deformation gradient F, in total form.
+"""Hyperelastic laws for motion of any size, in total form.
 
-`Corotated` is the small-strain law in a frame that turns with the material: F = R U, the strain
-is U − I. `NeoHookean` is for large strains. Kirchhoff stress τ = J σ, in-plane components.
+They take the displacement gradient H = F − I: next to one, a strain of 1e-4 would keep three digits
+in single precision. `Corotated` is the small-strain law in a frame that turns with the material:
+F = R U, the strain is U − I. `NeoHookean` is for large strains. Kirchhoff stress τ = J σ, in-plane
+components.
 """
+
+from dataclasses import field
 
 import jax.numpy as jnp
 
@@ -10,25 +14,56 @@ from jaxmpm import tensor
 from jaxmpm.laws.elastic import Elastic
 from jaxmpm.laws.law import law
 
+ITERATIONS = 6  # of Higham's method
 
-def rotation(deformation):
-    """Rotation R (d, d) of the polar decomposition F = R U; in closed form up to two dimensions."""
-    f = deformation
-    if len(f) == 1:
-        return jnp.ones_like(f)
-    if len(f) == 2:
-        cosine, sine = f[0, 0] + f[1, 1], f[1, 0] - f[0, 1]
-        size = tensor.norm([cosine, sine])
-        none = size == 0
-        c = jnp.where(none, 1.0, cosine / jnp.where(none, 1.0, size))
-        s = jnp.where(none, 0.0, sine / jnp.where(none, 1.0, size))
-        return jnp.stack([jnp.stack([c, -s]), jnp.stack([s, c])])
+
+def plus_one(gradient):
+    """F = I + H, (d, d, ...)."""
+    d = range(len(gradient))
+    return jnp.stack([jnp.stack([gradient[i, j] + (i == j) for j in d]) for i in d])
+
+
+def rotation(gradient):
+    """Rotation R (d, d) of the polar decomposition I + H = R U; in closed form up to two dimensions."""
+    h = gradient
+    if len(h) == 1:
+        return jnp.ones_like(h)
+    if len(h) == 2:
+        return turned(2 + h[0, 0] + h[1, 1], h[1, 0] - h[0, 1])
+    f = plus_one(h)
     for _ in range(ITERATIONS):  # Higham (1986): R ← (R + R⁻ᵀ)/2, quadratic
         f = (f + _cofactor(f) / _determinant(f)) / 2
     return f
 
 
-ITERATIONS = 6
+def turned(cosine, sine):
+    """Rotation (2, 2) by the angle of a vector (cosine, sine) of any length; none where that is zero."""
+    size = tensor.norm([cosine, sine])
+    none = size == 0
+    c = jnp.where(none, 1.0, cosine / jnp.where(none, 1.0, size))
+    s = jnp.where(none, 0.0, sine / jnp.where(none, 1.0, size))
+    return jnp.stack([jnp.stack([c, -s]), jnp.stack([s, c])])
+
+
+def strain_in(turn, gradient):
+    """sym(Rᵀ F) − I in the frame that has turned by R: in-plane components, engineering shear."""
+    d = len(gradient)
+    inner = _symmetric(times(_transposed(turn), gradient))
+    less = [turn[i, i] - 1 for i in range(d)] + [
+        (turn[i, j] + turn[j, i]) / 2 for i, j in tensor.IN_SPACE[d][d:]
+    ]
+    if d == 2:  # 1 − cos without loss of digits, and a rotation has no symmetric shear
+        c, s = turn[0, 0], turn[1, 0]
+        small = c > 0
+        less = [jnp.where(small, -s * s / jnp.where(small, 1 + c, 1.0), c - 1)] * 2 + [0.0]
+    twice = [1.0] * d + [2.0] * (len(inner) - d)
+    return jnp.stack([f * (s + o) for f, s, o in zip(twice, inner, less, strict=True)])
+
+
+def turned_stress(turn, stress, gradient):
+    """τ = sym(R S Fᵀ) of a stress in the frame that has turned by R, in-plane components."""
+    first = times(turn, _matrix(stress, len(gradient)))  # first Piola-Kirchhoff stress
+    return _symmetric(times(first, _transposed(plus_one(gradient))))
 
 
 def _cofactor(f):
@@ -41,6 +76,18 @@ def _determinant(f):
     if len(f) == 2:
         return f[0, 0] * f[1, 1] - f[0, 1] * f[1, 0]
     return tensor.dot(f[0], tensor.cross(f[1], f[2]))
+
+
+def volume_change(gradient):
+    """J − 1 = det(I + H) − 1."""
+    h, d = gradient, len(gradient)
+    trace = sum(h[i, i] for i in range(d))
+    if d == 1:
+        return trace
+    if d == 2:
+        return trace + _determinant(h)
+    minors = sum(h[i, i] * h[j, j] - h[i, j] * h[j, i] for i, j in ((0, 1), (1, 2), (0, 2)))
+    return trace + minors + _determinant(h)
 
 
 def times(a, b):
@@ -71,42 +118,27 @@ class Corotated:
 
     E: float  # Young's modulus, MPa
     nu: float  # Poisson's ratio
-    plane_stress: float = 0.0  # 1 in plane stress, 0 in plane strain; of no meaning in 1D and 3D
+    plane_stress: bool = field(default=False, metadata={"static": True})  # in 2D, else plane strain
 
     def _in_plane(self, strain):
         """Stress of in-plane strains, engineering shear."""
-        elastic = Elastic(self.E, self.nu)
         d = {1: 1, 3: 2, 6: 3}[len(strain)]
-        direct, cross, shear = elastic.coefficients(6)
         if d == 1:
             return self.E * strain
-        if d == 2:
-            flat, across, _ = elastic.coefficients(3)
-            direct = jnp.where(self.plane_stress > 0, flat, direct)
-            cross = jnp.where(self.plane_stress > 0, across, cross)
+        size = 3 if d == 2 and self.plane_stress else 6
+        direct, cross, shear = Elastic(self.E, self.nu).coefficients(size)
         trace = sum(strain[i] for i in range(d))
         parts = [cross * trace + (direct - cross) * strain[i] for i in range(d)]
         return jnp.stack(parts + [shear * strain[i] for i in range(d, len(strain))])
 
-    def strain(self, deformation):
-        """U − I with engineering shear, and R."""
-        turn = rotation(deformation)
-        stretch = _symmetric(times(_transposed(turn), deformation))
-        d = len(deformation)
-        scale = [1.0] * d + [2.0] * (len(stretch) - d)
-        shift = [1.0] * d + [0.0] * (len(stretch) - d)
-        return jnp.stack([f * (s - o) for f, s, o in zip(scale, stretch, shift, strict=True)]), turn
-
-    def kirchhoff(self, deformation):
+    def kirchhoff(self, gradient):
         """τ = R S U Rᵀ with S = C : (U − I), in-plane components, MPa."""
-        strain, turn = self.strain(deformation)
-        d = len(deformation)
-        first = times(turn, _matrix(self._in_plane(strain), d))  # first Piola-Kirchhoff stress
-        return _symmetric(times(first, _transposed(deformation)))
+        turn = rotation(gradient)
+        return turned_stress(turn, self._in_plane(strain_in(turn, gradient)), gradient)
 
-    def energy(self, deformation):
+    def energy(self, gradient):
         """Stored energy per undeformed volume, N/mm²."""
-        strain, _ = self.strain(deformation)
+        strain = strain_in(rotation(gradient), gradient)
         return tensor.dot(strain, self._in_plane(strain)) / 2
 
 
@@ -122,18 +154,20 @@ class NeoHookean:
         shear = self.E / (2 * (1 + self.nu))
         return 2 * shear * self.nu / (1 - 2 * self.nu), shear
 
-    def kirchhoff(self, deformation):
+    def kirchhoff(self, gradient):
         """τ = μ (b − I) + λ ln J I, in-plane components, MPa; NaN where J ≤ 0."""
         lame, shear = self._lame
-        d = len(deformation)
-        left = _symmetric(times(deformation, _transposed(deformation)))
-        volumetric = lame * jnp.log(_determinant(deformation)) - shear
+        d = len(gradient)
+        square = _symmetric(times(gradient, _transposed(gradient)))
+        left = 2 * _symmetric(gradient) + square  # b − I
+        volumetric = lame * jnp.log1p(volume_change(gradient))
         return jnp.stack([shear * b + (volumetric if k < d else 0.0) for k, b in enumerate(left)])
 
-    def energy(self, deformation):
+    def energy(self, gradient):
         """Stored energy per undeformed volume, N/mm²."""
         lame, shear = self._lame
-        change = jnp.log(_determinant(deformation))
-        d = len(deformation)
-        trace = sum(deformation[i, j] ** 2 for i in range(d) for j in range(d)) + 3 - d
-        return shear / 2 * (trace - 3 - 2 * change) + lame / 2 * change**2
+        change = jnp.log1p(volume_change(gradient))
+        d = len(gradient)
+        square = sum(gradient[i, j] ** 2 for i in range(d) for j in range(d))
+        trace = 2 * sum(gradient[i, i] for i in range(d)) + square  # tr b − 3
+        return shear / 2 * (trace - 2 * change) + lame / 2 * change**2
