@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from jaxmpm import bands, tensor
-from jaxmpm.explicit import PRECISION, ROOM, most_critical, normals
+from jaxmpm.explicit import PRECISION, most_critical, normals
 from jaxmpm.laws import band as band_law
 from jaxmpm.laws.elastic import Elastic
 from jaxmpm.laws.finite import plus_one, rotation, strain_in, turned, turned_stress

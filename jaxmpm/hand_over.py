@@ -39,19 +39,19 @@ def places(per_side):
     return (np.arange(per_side) + 0.5) / per_side
 
 
-def cloud(scene, layout, cracked):
-    """The `Cloud` of a layout: whole cells, or what the shapes cover where nothing has cracked yet."""
+def cloud(scene, layout, cracked, begins):
+    """The `Cloud` of a layout: of its cells, or, where the run begins, of what its shapes cover."""
     line = places(scene.points.per_side)
     inner = np.stack(np.meshgrid(line, line, indexing="ij")).reshape(2, -1)
-    if cracked.any():
-        filled = (layout.material >= 0) & ~cracked
-        cell, place = _every(np.stack(np.nonzero(filled)), inner)
-        body = layout.owner[tuple(cell)]
-    else:
+    if begins and scene.points.fill == "shapes":
         cell, place = _every(np.stack(np.nonzero(np.ones(layout.shape, bool))), inner)
         at = np.reshape(layout.origin, (2, 1)) + layout.cell * (cell + place)
         body = owners(scene.bodies, *at)
         cell, place, body = cell[:, body >= 0], place[:, body >= 0], body[body >= 0]
+    else:
+        filled = (layout.material >= 0) & ~cracked
+        cell, place = _every(np.stack(np.nonzero(filled)), inner)
+        body = layout.owner[tuple(cell)]
     share = np.full(cell.shape[1], 1 / scene.points.per_side**2)
     broken = np.stack(np.nonzero(cracked))
     count = broken.shape[1]
@@ -203,7 +203,8 @@ def to_points(scene, layout, model, state, time, fields=1, body_of=None):
     """
     dtype = np.dtype(model.free.dtype)
     place = np.asarray(state.place)
-    listed = cloud(scene, layout, place >= 0)
+    begins = int(state.step) == 0
+    listed = cloud(scene, layout, place >= 0, begins)
     nodal = Bilinear(listed, layout.cell)
     displacement, velocity = (np.asarray(f, float) for f in (state.displacement, state.velocity))
     here = tuple(listed.cell)
@@ -213,7 +214,6 @@ def to_points(scene, layout, model, state, time, fields=1, body_of=None):
     volume = layout.cell**2 * scene.grid.thickness * listed.share
     mass = volume * np.asarray(model.density, float)[material]
     home = np.reshape(layout.origin, (2, 1)) + layout.cell * (listed.cell + listed.place)
-    begins = int(state.step) == 0
     thrown = np.array([body.velocity for body in scene.bodies]).T[:, listed.body]
     new = moving_model(scene, layout, model, time, fields)
     shape = (layout.shape[0] + 1, layout.shape[1] + 1)
@@ -254,19 +254,27 @@ def _settled(model, state):
 
 MARGIN = 2  # bins around the points to begin with
 MULTIPLE = 8  # a window is a multiple of so many bins, so that few programs are compiled
+GROWTH = 1.4  # of a window that has become too small
 SPARE = 1.5  # slots over the most points in a bin
 
 
-def binned_points(n, origin, position, lists, slots=0):
-    """Points in a window around them with some room; see `points.in_bins`."""
+def binned_points(n, origin, position, lists, slots=0, bins=None):
+    """Points in a window around them with some room; see `points.in_bins`.
+
+    Not less room than `slots`, and the same `bins` if these are enough: a program fits one of each.
+    """
     centred = n.shape.centred
     most = np.array(n.cells) + centred
     number = (position - np.reshape(origin, (-1, 1))) / n.cell + 0.5 * centred
     number = np.clip(np.floor(number).astype(int), 0, most[:, None] - 1)
     low = np.maximum(number.min(1) - MARGIN, 0)
     high = np.minimum(number.max(1) + 1 + MARGIN, most)
-    length = np.minimum(-(-(high - low) // MULTIPLE) * MULTIPLE, most)
-    low = np.minimum(low, most - length)
+    needed = high - low
+    if bins is not None:
+        grown = np.maximum(needed, np.ceil(GROWTH * np.array(bins)).astype(int))
+        needed = np.where(needed <= bins, bins, grown)
+    length = np.minimum(-(-needed // MULTIPLE) * MULTIPLE, most)
+    low = np.clip(low - (length - (high - low)) // 2, 0, most - length)
     local = np.ravel_multi_index(tuple(number - low[:, None]), tuple(length))
     fullest = int(np.bincount(local).max())
     slots = max(slots, fullest if fullest < 3 else int(np.ceil(SPARE * fullest)), 4)

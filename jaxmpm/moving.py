@@ -164,7 +164,7 @@ def _accelerate(model, points, w, mass, before, time, dt):
     carries, safe = (each[:, None] for each in carry.heavy(mass))
     per_mass = lambda force: jnp.where(carries, force / safe, 0.0)  # noqa: E731
     internal = carry.internal_force(n, points, w)
-    push = internal + _external(model, points, w, mass, time)
+    push = internal + external_force(model, points, w, mass, time)
     damping = model.damping * jnp.abs(push) * jnp.sign(before)
     free = before + dt * per_mass(push - damping)
     rubbed = free
@@ -179,7 +179,7 @@ def _accelerate(model, points, w, mass, before, time, dt):
     return after, (external, by_damping, -by_contact)
 
 
-def _external(model, points, w, mass, time):
+def external_force(model, points, w, mass, time):
     """Forces of gravity, of loads and of a body force, (fields, d, *nodes), N."""
     n = model.numerics
     force = mass[:, None] * model.gravity.reshape(n.dimension, *[1] * n.dimension)

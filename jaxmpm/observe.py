@@ -24,11 +24,17 @@ class Reading(NamedTuple):
     kinetic: jax.Array
     dissipated: jax.Array  # in bands
     damping: jax.Array
+    contact: jax.Array  # taken by friction and impact
     cracked: jax.Array  # cells with a band
     gradient: jax.Array  # largest displacement gradient of an uncracked cell
     gradient_cell: jax.Array  # its flat index
     opening: jax.Array  # largest displacement jump of a band, mm
     opening_cell: jax.Array
+    displacement: jax.Array  # largest of a node, mm
+
+    def energies(self):
+        """Work of the loads, then where it has gone, N·mm."""
+        return self[2:8]
 
 
 @jax.jit
@@ -56,11 +62,13 @@ def read(model, state, dt) -> Reading:
         kinetic=(at.prepared.mass * (state.velocity**2).sum(0)).sum() / 2,
         dissipated=volume * total(dissipated),
         damping=state.work.damping,
+        contact=jnp.zeros_like(state.work.damping),
         cracked=state.pool.count,
         gradient=gradient.max(),
         gradient_cell=gradient.argmax(),
         opening=jump.max(),
         opening_cell=state.pool.cell[jump.argmax()],
+        displacement=jnp.where(at.prepared.mass > 0, jnp.hypot(*at.displacement), 0.0).max(),
     )
 
 

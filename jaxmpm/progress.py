@@ -31,6 +31,12 @@ class Progress:
             file=self.stream,
         )
 
+    def say(self, text: str) -> None:
+        """A line that stays."""
+        if self.wanted:
+            self.close()
+            print(text, file=self.stream, flush=True)
+
     def show(self, recorder) -> None:
         """Show where the run is."""
         if not self.wanted:

@@ -3,168 +3,25 @@
 import json
 import signal
 import time as clock
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmpm import bands, compilation, explicit, model as models, observe, results
-from jaxmpm.errors import RunError, SceneError, written
-from jaxmpm.layout import lay_out
+from jaxmpm import observe, results
+from jaxmpm.errors import RunError, written
+from jaxmpm.moving_simulation import MOVING_FIELDS, MovingSimulation
 from jaxmpm.progress import Progress
 from jaxmpm.scene import Scene
-from jaxmpm.vtkhdf import PointCloudWriter
+from jaxmpm.simulation import FRAME_FIELDS, Simulation
+from jaxmpm.vtkhdf import PointCloudWriter, read_frame, read_frames
 
-MOST_STEPS = 2**31 - 2  # steps are counted in 32 bits
 CHECKPOINT_SECONDS = 10.0  # wall time between restart files
-FRAME_FIELDS = {
-    "displacement": 3, "stress": 3, "damage": 1, "opening": 1, "normal": 3, "material": 1,
-}  # fmt: skip
-ENERGIES = ("external_work", "stored_energy", "kinetic_energy", "dissipated_energy", "damping_work")
-
-
-@dataclass
-class Simulation:
-    """A scene made ready: its model, its state and the compiled functions that advance it.
-
-    Build one with `Simulation.of(scene)`, then `advance(sample)` through `samples + 1` samples
-    and `read()` or `frame()` between them.
-    """
-
-    scene: Scene
-    layout: object
-    model: models.Model
-    state: models.State
-    dt: float  # s
-    stable_dt: float  # s
-    steps: int  # in the whole run
-    compile_seconds: float = 0.0
-    run_seconds: float = 0.0
-    _compiled: dict = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, scene: Scene) -> "Simulation":
-        """Lay out a scene and build its model and first state; raises SceneError."""
-        layout = lay_out(scene)
-        model = models.from_layout(scene, layout)
-        stable = float(models.stable_time_step(model))
-        duration = scene.solver.duration
-        steps = np.ceil(duration / (stable * scene.solver.time_step_factor))
-        if not steps < MOST_STEPS:
-            raise SceneError(
-                f"solver.duration = {written(duration)}: expected less than "
-                f"{stable * scene.solver.time_step_factor * MOST_STEPS:.3g} s, {MOST_STEPS} steps "
-                f"(the stable time step is {stable:.3g} s: load faster, or use larger cells)"
-            )
-        steps = int(steps)
-        state = models.first_state(model, layout.velocity)
-        dt = duration / steps
-        return cls(scene, layout, model, state, dt, stable, steps + 1)
-
-    def compiled(self, function):
-        """`function(model, state, dt, …)` compiled for the present capacity, timed once."""
-        capacity = self.state.pool.cell.shape[0]
-        if (function, capacity) not in self._compiled:
-            began = clock.perf_counter()
-            extra = (jnp.int32(0),) if function is explicit.advance else ()
-            lowered = function.lower(self.model, self.state, self._dt(), *extra)
-            self._compiled[function, capacity] = compilation.compiled(lowered)
-            self.compile_seconds += clock.perf_counter() - began
-        return self._compiled[function, capacity]
-
-    def _dt(self):
-        return jnp.asarray(self.dt, self.model.free.dtype)
-
-    def advance(self, until: int) -> None:
-        """Advance to step `until`; raises RunError where a band cannot be solved."""
-        while int(self.state.step) < until:
-            if bool(explicit.needs_room(self.state)):
-                spare = models.empty_pool(self.model, self.state.pool.cell.shape[0])
-                self.state = self.state._replace(pool=bands.joined(self.state.pool, spare))
-            function = self.compiled(explicit.advance)
-            began = clock.perf_counter()
-            self.state = function(self.model, self.state, self._dt(), jnp.int32(until))
-            jax.block_until_ready(self.state.step)
-            self.run_seconds += clock.perf_counter() - began
-            if int(self.state.failed) >= 0:
-                cell = int(self.state.pool.cell[int(self.state.failed)])
-                raise RunError(
-                    f"the band of the cell at {self.place(cell)} did not converge in step "
-                    f"{int(self.state.step)} (t = {int(self.state.step) * self.dt:.6g} s): try a "
-                    "smaller solver.time_step_factor, a slower load or smaller cells"
-                )
-
-    def read(self) -> observe.Reading:
-        """Gauges and energies now, as NumPy numbers."""
-        reading = self.compiled(observe.read)(self.model, self.state, self._dt())
-        return jax.tree.map(np.asarray, reading)
-
-    def frame(self) -> tuple[np.ndarray, dict]:
-        """Centres of the filled cells (N, 3), mm, and their fields."""
-        values = jax.tree.map(
-            np.asarray, self.compiled(observe.frame)(self.model, self.state, self._dt())
-        )
-        filled = self.layout.material >= 0
-        i, j = np.nonzero(filled)
-        x, y = self.layout.origin
-        cell = self.layout.cell
-        points = np.stack([x + (i + 0.5) * cell, y + (j + 0.5) * cell, 0.0 * i], axis=1)
-        data = {"material": self.layout.material[filled].astype(float)}
-        for name, value in values.items():
-            column = value[..., filled].T
-            if FRAME_FIELDS[name] == 3 and column.shape[1] == 2:
-                column = np.pad(column, ((0, 0), (0, 1)))
-            data[name] = column
-        return points, data
-
-    def little_energy(self) -> float:
-        """A thousandth of the energy (N·mm) that the bodies hold at onset: too little to judge by."""
-        volume = self.layout.cell**2 * self.scene.grid.thickness
-        total = 0.0
-        for index, name in enumerate(self.layout.materials):
-            material = self.scene.materials[name]
-            if material.band:
-                cells = (self.layout.material == index).sum()
-                total += cells * volume * material.band.ft**2 / (2 * material.bulk.E)
-        return 1e-3 * float(total)
-
-    def place(self, cell: int) -> str:
-        """Where a cell is, for a message."""
-        i, j = divmod(int(cell), self.layout.shape[1])
-        x, y = (o + (k + 0.5) * self.layout.cell for o, k in zip(self.layout.origin, (i, j)))
-        return f"({x:g}, {y:g}) mm"
-
-    def check(self, reading: observe.Reading, energy_error: float) -> None:
-        """Raise RunError where a result can no longer be trusted."""
-        solver = self.scene.solver
-        when = f"at t = {float(reading.time):.6g} s"
-        numbers = [*reading.gauges.values(), *reading[2:7], reading.gradient]
-        if not np.isfinite(numbers).all():
-            raise RunError(
-                f"not finite {when}: the run has become unstable; lower solver.time_step_factor "
-                f"(now {solver.time_step_factor:g})"
-            )
-        if reading.gradient > solver.gradient_limit:
-            raise RunError(
-                f"displacement gradient {float(reading.gradient):.3g} {when} in the uncracked cell "
-                f"at {self.place(reading.gradient_cell)}, more than solver.gradient_limit = "
-                f"{solver.gradient_limit:g}: too large a motion for the total frame; stop earlier "
-                "or, where the small-strain error is acceptable, raise the limit"
-            )
-        if reading.opening > self.layout.cell:
-            raise RunError(
-                f"crack opening {float(reading.opening):.3g} mm {when} in the cell at "
-                f"{self.place(reading.opening_cell)}, more than a cell of {self.layout.cell:g} mm: "
-                "too large a motion for the total frame; stop earlier or use larger cells"
-            )
-        if abs(energy_error) > solver.energy_error_limit:
-            raise RunError(
-                f"relative energy error {energy_error:.3g} {when}, more than "
-                f"solver.energy_error_limit = {solver.energy_error_limit:g}: lower "
-                f"solver.time_step_factor (now {solver.time_step_factor:g}) or load more slowly"
-            )
+ENERGIES = (
+    "external_work", "stored_energy", "kinetic_energy", "dissipated_energy", "damping_work",
+    "contact_work",
+)  # fmt: skip
 
 
 def _difference(before, now, path=""):
@@ -187,11 +44,11 @@ def _item(tree, key, absent):
 
 
 def energy_error(reading, floor: float = 0.0) -> float:
-    """Relative error of the balance: work = stored + kinetic + dissipated + damping.
+    """Relative error of the balance: work = stored + kinetic + dissipated + damping + contact.
 
     Relative to the work, or to `floor` (N·mm) where there is hardly any yet.
     """
-    external, *parts = (float(value) for value in reading[2:7])
+    external, *parts = (float(value) for value in reading.energies())
     scale = max(abs(external), sum(parts), floor)
     return (external - sum(parts)) / scale if scale > 0 else 0.0
 
@@ -212,6 +69,10 @@ class Recorder:
     def __init__(self, scene, directory, resume, progress):
         self.scene, self.directory = scene, directory
         self.sim = Simulation.of(scene)
+        self.handed_over = None  # time, s
+        self.messages: list[str] = []
+        if scene.solver.frame == "updated":
+            self.sim = MovingSimulation.of(self.sim)
         self.columns = [("step", ""), ("time", "s")]
         self.columns += [(gauge.name, gauge.unit) for gauge in self.sim.layout.gauges]
         self.columns += [(name, "N mm") for name in ENERGIES]
@@ -258,8 +119,8 @@ class Recorder:
         self.progress.start(self)
         for sample in range(self.done + 1, samples + 1):
             if sample > 0:
-                sim.advance(1 + round(sample * (sim.steps - 1) / samples))
-            reading = sim.read() if sample > 0 else self._at_rest()
+                sim.advance(sim.step_at(sample, samples))
+            reading = sim.read() if sample > 0 or self.moves else self._at_rest()
             error = energy_error(reading, self.little)
             self._record(reading, error)
             if sample in framed:
@@ -267,10 +128,38 @@ class Recorder:
             self.done = sample
             self.safe = (sim.state, self.done, self.frames)
             self.progress.show(self)
-            sim.check(reading, error)
+            if self._hand_over(reading, error):
+                sim = self.sim
+            else:
+                sim.check(reading, error)
             if clock.perf_counter() - saved > CHECKPOINT_SECONDS or sample == samples:
                 self.save()
                 saved = clock.perf_counter()
+
+    @property
+    def moves(self) -> bool:
+        """Whether points move by now."""
+        return isinstance(self.sim, MovingSimulation)
+
+    def _hand_over(self, reading, error) -> bool:
+        """Go on with points that move where the motion asks for it; says when and why."""
+        if self.moves or self.scene.solver.frame != "auto" or self.done == self.scene.output.samples:
+            return False
+        reason = self.sim.asks_for_points(reading)
+        if not reason or not np.isfinite(error):
+            return False
+        self.sim = MovingSimulation.of(self.sim)
+        self.handed_over = self.sim.begin
+        now = energy_error(self.sim.read(), self.little)
+        self.messages.append(
+            f"t = {self.sim.begin:.6g} s: {reason}: on with {self.sim.count()} points that move, "
+            f"{int(reading.cracked)} with a band (relative energy error {error:.1e} before, {now:.1e} after)"
+        )
+        self.progress.say(self.messages[-1])
+        self.cloud = _with_fields(self.cloud, self.directory / "result.vtkhdf", self.scene.grid.cell)
+        self.safe = (self.sim.state, self.done, self.frames)
+        self.save()
+        return True
 
     def _at_rest(self):
         """The reading before the first step."""
@@ -285,7 +174,7 @@ class Recorder:
     def _record(self, reading, error):
         row = [int(round(float(reading.time) / self.sim.dt)), float(reading.time)]
         row += [float(reading.gauges[gauge.name]) for gauge in self.sim.layout.gauges]
-        row += [float(value) for value in reading[2:7]]
+        row += [float(value) for value in reading.energies()]
         row += [error, int(reading.cracked)]
         self.history.append(row)
         self.rows.append(row)
@@ -311,7 +200,7 @@ class Recorder:
         (self.directory / "summary.json").unlink(missing_ok=True)
         (self.directory / "scene.json").write_text(json.dumps(self.scene.to_dict(), indent=1))
         self.history = results.History.create(history, self.columns)
-        self.cloud = PointCloudWriter.create(cloud, FRAME_FIELDS)
+        self.cloud = PointCloudWriter.create(cloud, MOVING_FIELDS if self.moves else FRAME_FIELDS)
 
     def save(self):
         """Write the restart file, as of the last complete sample."""
@@ -326,6 +215,9 @@ class Recorder:
             "frames": frames,
             "wall_seconds": self.wall_seconds(),
             "run_seconds": self.sim.run_seconds,
+            "handed_over": self.handed_over,
+            "messages": self.messages,
+            "moving": self.sim.meta() if self.moves else None,
         }
         results.save_restart(self.directory / "restart.h5", arrays, meta)
 
@@ -338,9 +230,14 @@ class Recorder:
                 f"({_difference(meta['scene'], now)}); run it with the same scene and --set, or "
                 "without --resume to start anew"
             )
+        if meta["moving"] is not None and not self.moves:
+            self.sim = MovingSimulation.blank(self.sim)
         leaves, tree = jax.tree_util.tree_flatten_with_path(self.sim.state)
         names = [_name(path) for path, _ in leaves]
         self.sim.state = jax.tree.unflatten(tree, [jnp.asarray(arrays[name]) for name in names])
+        if self.moves:
+            self.sim.resume(meta["moving"])
+        self.handed_over, self.messages = meta["handed_over"], meta["messages"]
         self.done, self.frames = meta["done"], meta["frames"]
         self.safe = (self.sim.state, self.done, self.frames)
         self.wall_before, self.sim.run_seconds = meta["wall_seconds"], meta["run_seconds"]
@@ -365,6 +262,12 @@ class Recorder:
         response = self.scene.response
         return pick(response.load), pick(response.displacement)
 
+    def frame_name(self) -> str:
+        """The frame of the run, in words."""
+        if not self.moves:
+            return "total"
+        return "updated" if self.handed_over is None else "total, then updated"
+
     def summary(self, status: str) -> dict:
         """The run in numbers: N, mm, N·mm, s."""
         sim, scene = self.sim, self.scene
@@ -374,8 +277,11 @@ class Recorder:
         out = {
             "scene": scene.name, "title": scene.title, "status": status,
             "cell_size": scene.grid.cell, "thickness": scene.grid.thickness,
-            "cells": cells, "cracked": int(sim.state.pool.count), "steps": steps,
+            "cells": cells, "cracked": sim.cracked(), "steps": steps, "frame": self.frame_name(),
         }  # fmt: skip
+        if self.moves:
+            out |= {"points": sim.count(), "points_left": sim.left, "hand_over_time": self.handed_over}
+            out |= {"messages": self.messages}
         if scene.response and self.rows:
             load, displacement = self.response()
             peak = int(np.nanargmax(np.abs(load))) if np.isfinite(load).any() else 0
@@ -395,6 +301,21 @@ class Recorder:
             "cell_steps_per_second": cells * steps / sim.run_seconds if sim.run_seconds else None,
             "precision": scene.solver.precision, "device": jax.devices()[0].device_kind,
         }  # fmt: skip
+
+
+def _with_fields(cloud, path, cell):
+    """The frames so far written anew as those of points that move: where they are, with their side."""
+    cloud.close()
+    count, _ = read_frames(path)
+    aside = path.with_name("." + path.name)
+    with PointCloudWriter.create(aside, MOVING_FIELDS) as new:
+        for k in range(count):
+            frame = read_frame(path, k)
+            time, points = frame.pop("time"), frame.pop("points")
+            frame |= {"side": np.full(len(points), cell), "velocity": np.zeros((len(points), 3))}
+            new.write(time, points + frame["displacement"], frame)
+    aside.replace(path)
+    return PointCloudWriter.reopen(path, count)
 
 
 def _name(path) -> str:

@@ -220,6 +220,11 @@ class Points(Table):
     per_side: Annotated[Count, Field(ge=1, le=8)] = Field(
         2, description="points along each side of a cell"
     )
+    fill: Literal["cells", "shapes"] = Field(
+        "cells",
+        description="cells: as many in every cell that the total frame fills; shapes: where the shapes "
+        "cover, which follows curved edges (frame updated only)",
+    )
     shape: Literal["linear", "gimp", "quadratic", "cubic"] = Field(
         "linear", description="shape functions of the grid"
     )

@@ -1,0 +1,188 @@
+"""A scene in the total frame made ready to run: its model, its state, the compiled step."""
+
+import time as clock
+from dataclasses import dataclass, field
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxmpm import bands, compilation, explicit, model as models, observe
+from jaxmpm.errors import RunError, SceneError, written
+from jaxmpm.layout import lay_out
+from jaxmpm.scene import Scene
+
+MOST_STEPS = 2**31 - 2  # steps are counted in 32 bits
+FRAME_FIELDS = {
+    "displacement": 3, "stress": 3, "damage": 1, "opening": 1, "normal": 3, "material": 1,
+}  # fmt: skip
+
+
+@dataclass
+class Simulation:
+    """A scene made ready: its model, its state and the compiled functions that advance it.
+
+    Build one with `Simulation.of(scene)`, then `advance(sample)` through `samples + 1` samples
+    and `read()` or `frame()` between them.
+    """
+
+    scene: Scene
+    layout: object
+    model: models.Model
+    state: models.State
+    dt: float  # s
+    stable_dt: float  # s
+    steps: int  # in the whole run
+    compile_seconds: float = 0.0
+    run_seconds: float = 0.0
+    _compiled: dict = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, scene: Scene) -> "Simulation":
+        """Lay out a scene and build its model and first state; raises SceneError."""
+        layout = lay_out(scene)
+        model = models.from_layout(scene, layout)
+        stable = float(models.stable_time_step(model))
+        duration = scene.solver.duration
+        steps = np.ceil(duration / (stable * scene.solver.time_step_factor))
+        if not steps < MOST_STEPS:
+            raise SceneError(
+                f"solver.duration = {written(duration)}: expected less than "
+                f"{stable * scene.solver.time_step_factor * MOST_STEPS:.3g} s, {MOST_STEPS} steps "
+                f"(the stable time step is {stable:.3g} s: load faster, or use larger cells)"
+            )
+        steps = int(steps)
+        state = models.first_state(model, layout.velocity)
+        dt = duration / steps
+        return cls(scene, layout, model, state, dt, stable, steps + 1)
+
+    def compiled(self, function):
+        """`function(model, state, dt, …)` compiled for the present capacity, timed once."""
+        capacity = self.state.pool.cell.shape[0]
+        if (function, capacity) not in self._compiled:
+            began = clock.perf_counter()
+            extra = (jnp.int32(0),) if function is explicit.advance else ()
+            lowered = function.lower(self.model, self.state, self._dt(), *extra)
+            self._compiled[function, capacity] = compilation.compiled(lowered)
+            self.compile_seconds += clock.perf_counter() - began
+        return self._compiled[function, capacity]
+
+    def _dt(self):
+        return jnp.asarray(self.dt, self.model.free.dtype)
+
+    def step_at(self, sample: int, samples: int) -> int:
+        """Number of the step of a sample; a state is read one step behind."""
+        return 1 + round(sample * (self.steps - 1) / samples)
+
+    def advance(self, until: int) -> None:
+        """Advance to step `until`; raises RunError where a band cannot be solved."""
+        while int(self.state.step) < until:
+            if bool(explicit.needs_room(self.state)):
+                spare = models.empty_pool(self.model, self.state.pool.cell.shape[0])
+                self.state = self.state._replace(pool=bands.joined(self.state.pool, spare))
+            function = self.compiled(explicit.advance)
+            began = clock.perf_counter()
+            self.state = function(self.model, self.state, self._dt(), jnp.int32(until))
+            jax.block_until_ready(self.state.step)
+            self.run_seconds += clock.perf_counter() - began
+            if int(self.state.failed) >= 0:
+                cell = int(self.state.pool.cell[int(self.state.failed)])
+                raise RunError(
+                    f"the band of the cell at {self.place(cell)} did not converge in step "
+                    f"{int(self.state.step)} (t = {int(self.state.step) * self.dt:.6g} s): try a "
+                    "smaller solver.time_step_factor, a slower load or smaller cells"
+                )
+
+    def cracked(self) -> int:
+        """Number of cells with a band."""
+        return int(self.state.pool.count)
+
+    def read(self) -> observe.Reading:
+        """Gauges and energies now, as NumPy numbers."""
+        reading = self.compiled(observe.read)(self.model, self.state, self._dt())
+        return jax.tree.map(np.asarray, reading)
+
+    def frame(self) -> tuple[np.ndarray, dict]:
+        """Centres of the filled cells (N, 3), mm, and their fields."""
+        values = jax.tree.map(
+            np.asarray, self.compiled(observe.frame)(self.model, self.state, self._dt())
+        )
+        filled = self.layout.material >= 0
+        i, j = np.nonzero(filled)
+        x, y = self.layout.origin
+        cell = self.layout.cell
+        points = np.stack([x + (i + 0.5) * cell, y + (j + 0.5) * cell, 0.0 * i], axis=1)
+        data = {"material": self.layout.material[filled].astype(float)}
+        for name, value in values.items():
+            column = value[..., filled].T
+            if FRAME_FIELDS[name] == 3 and column.shape[1] == 2:
+                column = np.pad(column, ((0, 0), (0, 1)))
+            data[name] = column
+        return points, data
+
+    def little_energy(self) -> float:
+        """A thousandth of the energy (N·mm) that the bodies hold at onset: too little to judge by."""
+        return little_energy(self.scene, self.layout)
+
+    def asks_for_points(self, reading) -> str:
+        """Why the motion is too large to go on in the total frame, "" where it is not."""
+        solver, cell = self.scene.solver, self.layout.cell
+        limit = solver.hand_over_displacement or cell
+        if reading.displacement > limit:
+            return f"a node has moved by {float(reading.displacement):.3g} mm, more than {limit:g} mm"
+        if reading.gradient > solver.hand_over_gradient:
+            return (
+                f"the displacement gradient at {self.place(reading.gradient_cell)} is "
+                f"{float(reading.gradient):.3g}, more than {solver.hand_over_gradient:g}"
+            )
+        if reading.opening > cell / 2:
+            return f"a crack has opened by {float(reading.opening):.3g} mm, more than half a cell"
+        return ""
+
+    def place(self, cell: int) -> str:
+        """Where a cell is, for a message."""
+        i, j = divmod(int(cell), self.layout.shape[1])
+        x, y = (o + (k + 0.5) * self.layout.cell for o, k in zip(self.layout.origin, (i, j)))
+        return f"({x:g}, {y:g}) mm"
+
+    def check(self, reading: observe.Reading, energy_error: float) -> None:
+        """Raise RunError where a result can no longer be trusted."""
+        solver = self.scene.solver
+        when = f"at t = {float(reading.time):.6g} s"
+        numbers = [*reading.gauges.values(), *reading.energies(), reading.gradient]
+        if not np.isfinite(numbers).all():
+            raise RunError(
+                f"not finite {when}: the run has become unstable; lower solver.time_step_factor "
+                f"(now {solver.time_step_factor:g})"
+            )
+        if reading.gradient > solver.gradient_limit:
+            raise RunError(
+                f"displacement gradient {float(reading.gradient):.3g} {when} in the uncracked cell "
+                f"at {self.place(reading.gradient_cell)}, more than solver.gradient_limit = "
+                f"{solver.gradient_limit:g}: too large a motion for the total frame; stop earlier "
+                "or, where the small-strain error is acceptable, raise the limit"
+            )
+        if reading.opening > self.layout.cell:
+            raise RunError(
+                f"crack opening {float(reading.opening):.3g} mm {when} in the cell at "
+                f"{self.place(reading.opening_cell)}, more than a cell of {self.layout.cell:g} mm: "
+                "too large a motion for the total frame; stop earlier or use larger cells"
+            )
+        if abs(energy_error) > solver.energy_error_limit:
+            raise RunError(
+                f"relative energy error {energy_error:.3g} {when}, more than "
+                f"solver.energy_error_limit = {solver.energy_error_limit:g}: lower "
+                f"solver.time_step_factor (now {solver.time_step_factor:g}) or load more slowly"
+            )
+
+
+def little_energy(scene, layout) -> float:
+    """A thousandth of the energy (N·mm) that the bodies of a scene hold at onset."""
+    volume = layout.cell**2 * scene.grid.thickness
+    total = 0.0
+    for index, name in enumerate(layout.materials):
+        material = scene.materials[name]
+        if material.band:
+            cells = (layout.material == index).sum()
+            total += cells * volume * material.band.ft**2 / (2 * material.bulk.E)
+    return 1e-3 * float(total)
