@@ -213,7 +213,8 @@ def to_points(scene, layout, model, state, time, fields=1, body_of=None):
     material = np.array(index)[listed.body]
     volume = layout.cell**2 * scene.grid.thickness * listed.share
     mass = volume * np.asarray(model.density, float)[material]
-    home = np.reshape(layout.origin, (2, 1)) + layout.cell * (listed.cell + listed.place)
+    corner = np.reshape(layout.origin, (2, 1))
+    home = corner + layout.cell * (listed.cell + listed.place)
     thrown = np.array([body.velocity for body in scene.bodies]).T[:, listed.body]
     new = moving_model(scene, layout, model, time, fields)
     shape = (layout.shape[0] + 1, layout.shape[1] + 1)
@@ -224,7 +225,7 @@ def to_points(scene, layout, model, state, time, fields=1, body_of=None):
         "gradient": nodal.gradient(displacement),
         "stress": np.zeros((3, len(mass))),
         "mass": mass.astype(dtype), "volume": volume,
-        "material": material, "home": home,
+        "material": material, "home": home - corner,
         "band": np.where(listed.cracked, place[here] + 1, 0),
         "body": np.zeros(len(mass), int) if body_of is None else body_of(listed),
         "share": np.concatenate(share) if share else np.zeros((0, len(mass))),

@@ -83,7 +83,7 @@ def _gauges(model, points, w, time, sets):
 
 
 def located(model, points):
-    """Positions (d, slots, *bins), mm, from where the grid begins at `origin` = 0."""
+    """Positions (d, slots, *bins), mm, from the corner where the grid begins."""
     n, bins = model.numerics, points.mass.shape[1:]
     rows = []
     for axis, y in enumerate(points.place):
@@ -101,7 +101,7 @@ def frame(model, state, origin, thickness):
     gradient = np.asarray(fields["gradient"], float)
     jacobian = np.linalg.det(np.moveaxis(np.asarray(plus_one(gradient)), -1, 0))
     data = {
-        "displacement": _three((position - fields["home"]).T),
+        "displacement": _three((position - np.reshape(origin, (-1, 1)) - fields["home"]).T),
         "stress": (fields["stress"] / jacobian).T,
         "damage": np.zeros(count), "opening": np.zeros(count), "normal": np.zeros((count, 3)),
         "material": fields["material"].astype(float),

@@ -31,7 +31,7 @@ class Points(NamedTuple):
     mass: jax.Array  # 0 where a slot is free (slots, *bins), tonne
     volume: jax.Array  # of the undeformed point (slots, *bins), mm³
     material: jax.Array  # index (slots, *bins)
-    home: jax.Array  # position of the undeformed point (d, slots, *bins), mm
+    home: jax.Array  # position of the undeformed point, from the corner of the grid (d, slots, *bins), mm
     affine: jax.Array  # velocity gradient that some transfers keep (d, d, slots, *bins), 1/s; d = 0 without
     band: jax.Array  # place of its band in the pool plus 1, 0 without one (slots, *bins)
     body: jax.Array  # which velocity field it moves in (slots, *bins)
