@@ -91,6 +91,24 @@ def velocity_of(mass, momentum):
     return jnp.where(carries[:, None], momentum / safe[:, None], 0.0)
 
 
+def kinetic_energy(n, points, w):
+    """Energy of the motion that points bring to the nodes, N·mm: their own and of their affine fields."""
+    energy = (points.mass * (points.velocity**2).sum(0)).sum() / 2
+    if not n.affine:
+        return energy
+    for b in range(n.dimension):
+        spread = _second_moment(n, points, w, b)
+        energy += (points.mass * spread * sum(row[b] ** 2 for row in points.affine)).sum() / 2
+    return energy
+
+
+def _second_moment(n, points, w, axis):
+    """Σ N (x_i − x_p)² along an axis, mm²."""
+    middle = 0.5 if n.shape.centred else 0.0
+    y = points.place[axis]
+    return sum(v * ((k - n.shape.lead + middle - y) * n.cell) ** 2 for k, v in enumerate(w.value[axis]))
+
+
 def moved(n, points, w, before, after, mass, dt):
     """Points at their places and with their velocities after the step."""
     d, kind = n.dimension, n.transfer.kind
@@ -102,8 +120,6 @@ def moved(n, points, w, before, after, mass, dt):
         velocity = points.velocity + from_fields(n, points, value, after - before)
         if flip != 1:
             velocity = flip * velocity + (1 - flip) * carried
-        if kind == "taylor":
-            points = points._replace(affine=velocity_gradient(n, points, w, after))
     elif kind == "apic":
         velocity = carried
         points = points._replace(affine=_affine(n, points, w, after))

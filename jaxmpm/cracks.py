@@ -204,15 +204,13 @@ def _merged(model, points, cells, group):
     mass, volume = jnp.where(group, take("mass"), 0.0), jnp.where(group, take("volume"), 0.0)
     mean = lambda values, weight: _mean(jnp.where(group, values, 0.0), weight)  # noqa: E731
     one = {"mass": mass.sum(0), "volume": volume.sum(0)}
-    for name in ("velocity", "place", "affine"):
-        values = take(name)
-        values = values.reshape(-1, *values.shape[-2:])
-        one[name] = mean(values, mass).reshape(*take(name).shape[:-2], -1)
+    for name in ("velocity", "place"):
+        one[name] = mean(take(name), mass)
+    for name, weight in (("affine", mass), ("gradient", volume)):
+        one[name] = jnp.stack([mean(row, weight) for row in take(name)]) if take(name).size else take(name)[:, :, 0]
     for name in ("home", "stress"):
         one[name] = mean(take(name), volume)
     gradient = take("gradient")
-    flat = mean(gradient.reshape(-1, *gradient.shape[-2:]), volume)
-    one["gradient"] = flat.reshape(*gradient.shape[:2], -1)
     one["share"] = jnp.where(group, take("share"), 0.0).sum(-2)
     first = jnp.argmax(group, axis=0)
     for name in ("material", "body"):
@@ -234,6 +232,8 @@ def _put(points, one, cells, slot, group, new):
     changed = {}
     for name, value in one.items():
         old = getattr(points, name)
+        if old.size == 0:
+            continue
         flat = old.reshape(-1, slots * total)
         if name in ("mass", "volume", "band"):
             flat = flat.at[:, gone].set(0, mode="drop")

@@ -108,6 +108,35 @@ class Bilinear:
         return self.at(per_mass) * mass
 
 
+def normals_at(model, state, listed):
+    """Normal of the crack of each point (2, count), zero where it has none."""
+    out = np.zeros((2, len(listed.share)))
+    if model.numerics.cracks:
+        normal = np.asarray(bands.bands_of(state.pool, model.numerics.size).normal, float)
+        place = np.asarray(state.place)[tuple(listed.cell)]
+        out[:, listed.cracked] = normal[:, place[listed.cracked]]
+    return out
+
+
+def turned_gradient(gradient, normal):
+    """The gradient H whose strain in the turned frame is the small strain of a given one, (2, 2, count).
+
+    The total frame knows a rotation to first order only. It is taken as one of finite size, of the
+    faces where there is a crack: strains, and so stresses, jumps and energy, stay what they were.
+    """
+    xx, yy = gradient[0, 0], gradient[1, 1]
+    shear, spin = gradient[0, 1] + gradient[1, 0], (gradient[1, 0] - gradient[0, 1]) / 2
+    inner = np.array([[xx, shear / 2], [shear / 2, yy]])
+    # in the frame of the faces a line along the crack does not turn
+    n, m = normal, np.stack([-normal[1], normal[0]])
+    across = sum(n[i] * inner[i, j] * m[j] for i in range(2) for j in range(2))
+    inner = inner + across * (m[:, None] * n[None] - n[:, None] * m[None])
+    angle = spin + across
+    less, s = -2 * np.sin(angle / 2) ** 2, np.sin(angle)
+    turn = np.array([[less, -s], [s, less]])  # R − 1
+    return turn + inner + np.einsum("ijp,jkp->ikp", turn, inner)
+
+
 def numerics(scene, layout, fields=1):
     """`moving.Numerics` of a scene."""
     p = scene.points
@@ -222,7 +251,7 @@ def to_points(scene, layout, model, state, time, fields=1, body_of=None):
     share = [nodal.shares(dense(layout, k.dofs, k.weights), mass, shape) for k in known]
     lists = {
         "velocity": thrown if begins else nodal.at(velocity),
-        "gradient": nodal.gradient(displacement),
+        "gradient": turned_gradient(nodal.gradient(displacement), normals_at(model, state, listed)),
         "stress": np.zeros((3, len(mass))),
         "mass": mass.astype(dtype), "volume": volume,
         "material": material, "home": home - corner,
@@ -237,8 +266,11 @@ def to_points(scene, layout, model, state, time, fields=1, body_of=None):
     pool = None
     if new.cracking is not None:
         pool = with_addresses(state.pool, binned)
-    kept = moving.first_state(binned, pool)
-    return new, _settled(new, kept)._replace(work=state.work)
+    settled = _settled(new, moving.first_state(binned, pool))
+    work = state.work
+    if begins:
+        work = work._replace(initial=moving.energies(new, settled.points, settled.pool)[0])
+    return new, settled._replace(work=work)
 
 
 @jax.jit

@@ -100,12 +100,12 @@ class State(NamedTuple):
     rubbed: jax.Array  # energy that contact has taken, N·mm
 
 
-def first_state(points, pool=None):
-    """State at the begin."""
+def first_state(points, pool=None, kinetic=0.0):
+    """State at the begin; its kinetic energy, N·mm, is the first entry of the ledger."""
     no, zero = jnp.zeros((), bool), jnp.zeros((), points.mass.dtype)
-    kinetic = (points.mass * (points.velocity**2).sum(0)).sum() / 2
+    kinetic = zero + kinetic
     counted = jnp.zeros((), jnp.int32)
-    return State(points, counted, Room(no, no), pool, counted - 1, Ledger(kinetic, zero, zero), zero)
+    return State(points, counted, Room(no, no, no), pool, counted - 1, Ledger(kinetic, zero, zero), zero)
 
 
 def step(model, state, dt):
@@ -145,7 +145,8 @@ def advance(model, state, dt, until):
     """
 
     def go(state):
-        on = (state.step < until) & ~state.room.slots & ~state.room.window & (state.failed < 0)
+        room = state.room.slots | state.room.window | state.room.wild
+        on = (state.step < until) & ~room & (state.failed < 0)
         return on if state.pool is None else on & ~needs_room(state)
 
     return lax.while_loop(go, lambda state: step(model, state, dt), state)
@@ -198,6 +199,8 @@ def _deform(model, points, pool, w, velocity, dt):
     """Deformation and stress after a step of these nodal velocities."""
     n, old = model.numerics, points.gradient
     rate = carry.velocity_gradient(n, points, w, velocity)
+    if n.transfer.kind == "taylor":
+        points = points._replace(affine=rate)
     gradient = old + dt * (rate + times(rate, old))
     stress = law_of(model, points).kirchhoff(gradient)
     used = points.mass > 0
@@ -217,7 +220,8 @@ def law_of(model, points):
 
 def energies(model, points, pool=None):
     """Kinetic, stored and dissipated energy of all points, N·mm."""
-    kinetic = (points.mass * (points.velocity**2).sum(0)).sum() / 2
+    n = model.numerics
+    kinetic = carry.kinetic_energy(n, points, transfers.weights(n.shape, points.place, n.cell))
     intact = (points.mass > 0) & (points.band == 0)
     stored = law_of(model, points).energy(points.gradient)
     stored = jnp.where(intact, points.volume * stored, 0.0).sum()

@@ -72,7 +72,7 @@ class MovingSimulation:
         no = jnp.zeros((), bool)
         zero = jnp.zeros(())
         pool = simulation.state.pool if simulation.model.numerics.cracks else None
-        state = moving.State(Points(*[zero] * len(Points._fields)), zero, Room(no, no), pool, zero, simulation.state.work, zero)
+        state = moving.State(Points(*[zero] * len(Points._fields)), zero, Room(no, no, no), pool, zero, simulation.state.work, zero)
         return cls(simulation.scene, simulation.layout, simulation.model, None, state, (), 0.0,
                    STABLE * simulation.stable_dt, 0.0, 0)  # fmt: skip
 
@@ -137,6 +137,12 @@ class MovingSimulation:
             self._make_room()
 
     def _check_bands(self):
+        if bool(self.state.room.wild):
+            raise RunError(
+                f"a point has moved by more than a cell in step {int(self.state.step)} (t = "
+                f"{self.time():.6g} s): the run has become unstable; lower solver.time_step_factor (now "
+                f"{self.scene.solver.time_step_factor:g})"
+            )
         failed = int(self.state.failed)
         if failed >= 0:
             raise RunError(

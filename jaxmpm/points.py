@@ -44,6 +44,7 @@ class Room(NamedTuple):
 
     slots: jax.Array  # a bin is full
     window: jax.Array  # a point wants to leave the window
+    wild: jax.Array  # a point has moved by more than a cell in one step, which no stable one does
 
 
 INTEGERS = ("material", "band", "body")
@@ -135,9 +136,9 @@ def rebin(points, address=None):
         (points, address, the `Room` there was not)
     """
     address = jnp.zeros((0,), jnp.int32) if address is None else address
-    outside = ((points.place < 0) | (points.place >= 1)).any(0) & (points.mass > 0)
+    outside = ~((points.place >= 0) & (points.place < 1)).all(0) & (points.mass > 0)
     full = jnp.zeros((), bool)
-    rest = Room(full, full)
+    rest = Room(full, full, full)
     stay = lambda points, address, _: (points, address, rest)  # noqa: E731
     return lax.cond(outside.any(), _move_all, stay, points, address, outside)
 
@@ -154,11 +155,11 @@ def _move_all(points, address, outside):
         count = waiting.shape[0]
         index = jnp.nonzero(waiting, size=min(MOVERS, count), fill_value=count)[0]
         points, address, more = _move(points, address, index)
-        room = Room(room.slots | more.slots, room.window | more.window)
+        room = Room(*(a | b for a, b in zip(room, more, strict=True)))
         return points, address, waiting.at[index].set(False, mode="drop"), room
 
     no = jnp.zeros((), bool)
-    points, address, _, room = lax.while_loop(go, batch, (points, address, waiting, Room(no, no)))
+    points, address, _, room = lax.while_loop(go, batch, (points, address, waiting, Room(no, no, no)))
     return points, address, room
 
 
@@ -194,7 +195,8 @@ def _move(points, address, index):
         new[name] = a.at[:, to].set(moved[name], mode="drop").reshape(getattr(points, name).shape)
     band = jnp.where(fits & (taken["band"][0] > 0), taken["band"][0] - 1, address.shape[0])
     address = address.at[band].set(to.astype(address.dtype), mode="drop")
-    room = Room((wants & ~fits).any(), (meant & ~inside).any())
+    far = (jnp.abs(step) > 1).any(0) | ~jnp.isfinite(taken["place"]).all(0)
+    room = Room((wants & ~fits).any(), (meant & ~inside).any(), (meant & far).any())
     return points._replace(**new), address, room
 
 
