@@ -7,7 +7,18 @@ import jax.numpy as jnp
 
 from jaxmpm import tensor
 from jaxmpm import transfer as transfers
+from jaxmpm.shape_functions import Gimp
 from jaxmpm.transfer import at_bins, slope_at, stencil, to_nodes, to_points, value_at
+
+
+def weights(n, points):
+    """`transfer.Weights` of the points; those of uGIMP are as wide as their volume says."""
+    own = ()
+    if n.shape == Gimp():
+        share = points.volume / n.cell_volume
+        half = 0.5 * jnp.where(points.volume > 0, share, 1.0) ** (1 / n.dimension)
+        own = (jnp.clip(half, 0.01, 0.5),)
+    return transfers.weights(n.shape, points.place, n.cell, *own)
 
 
 def to_fields(n, points, contribution):

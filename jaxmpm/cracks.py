@@ -11,10 +11,12 @@ linearly, as the laws have it.
 """
 
 from dataclasses import dataclass, field
+from itertools import product
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 
 from jaxmpm import bands, tensor
@@ -110,22 +112,29 @@ def energies(model, points, pool):
 # ------------------------------------------------------------------ onset
 
 
-def onset_ratio(model, points):
-    """Strength ratio r̂ of the mean stress of the uncracked points of each bin, and of all of them.
+def cell_sums(n, points, values):
+    """Sum of values (..., slots, *bins) over the points of each cell of the grid (..., *cells).
 
-    Returns:
-        (ratio (*bins), mean stress of all its points (3, *bins), MPa)
+    Where bins surround cells' corners there is one cell more than bins along each axis, the first of
+    them half a bin before the first bin.
     """
-    intact = jnp.where(points.band == 0, points.volume, 0.0)
-    mean = _mean(points.stress, intact)
-    size = model.cracking.size
-    # the material of the first uncracked point; those of others wait for their turn
-    first = jnp.argmax(intact > 0, axis=0)
-    material = jnp.take_along_axis(points.material, first[None], axis=0)[0]
-    laws = _laws(embedding(model), material)
-    ratio = laws.law.onset(_full(mean, laws, size), laws.bulk)
-    ratio = jnp.where(intact.sum(0) > 0, ratio, 0.0)
-    return ratio, _mean(points.stress, points.volume)
+    d = n.dimension
+    if not n.shape.centred:
+        return values.sum(-1 - d)
+    total = 0.0
+    for upper in product((0, 1), repeat=d):
+        part = jnp.where(_in_half(points.place, upper), values, 0.0).sum(-1 - d)
+        pads = [(0, 0)] * (part.ndim - d) + [(u, 1 - u) for u in upper]
+        total = total + jnp.pad(part, pads)
+    return total
+
+
+def _in_half(place, upper):
+    """Points in the given half of their bin along each axis."""
+    inside = True
+    for y, u in zip(place, upper, strict=True):
+        inside &= (y >= 0.5) if u else (y < 0.5)
+    return inside
 
 
 def _mean(values, weight):
@@ -133,10 +142,28 @@ def _mean(values, weight):
     return (values * weight).sum(1) / jnp.where(total > 0, total, 1.0)
 
 
-def _laws(laws, material):
-    if all(leaf.shape[-1] == 1 for leaf in jax.tree.leaves(laws)):
-        return bands.at(laws, 0)
-    return bands.at(laws, material)
+def onset_ratio(model, points):
+    """Strength ratio r̂ of the mean stress of the uncracked points of each cell, and of all of them.
+
+    Returns:
+        (ratio (*cells), mean stress of all points of a cell (3, *cells), MPa)
+    """
+    n, size = model.numerics, model.cracking.size
+    intact = jnp.where(points.band == 0, points.volume, 0.0)
+    laws = embedding(model)
+    kinds = len(model.law.E)
+    kind = jnp.maximum(points.material, 0).astype(intact.dtype) if kinds > 1 else None
+    parts = [intact[None], points.stress * intact, points.volume[None], points.stress * points.volume]
+    if kinds > 1:
+        parts.append((kind * intact)[None])
+    sums = cell_sums(n, points, jnp.concatenate(parts))
+    volume, whole = (jnp.where(sums[k] > 0, sums[k], 1.0) for k in (0, 4))
+    mean = sums[1:4] / volume
+    # where materials meet that of the nearest number: the points that crack are of one kind
+    material = jnp.round(sums[8] / volume).astype(jnp.int32) if kinds > 1 else None
+    laws = bands.at(laws, 0) if kinds == 1 else bands.at(laws, material)
+    ratio = laws.law.onset(_full(mean, laws, size), laws.bulk)
+    return jnp.where(sums[0] > 0, ratio, 0.0), sums[5:8] / whole
 
 
 def _full(stress, laws, size):
@@ -148,7 +175,7 @@ def _full(stress, laws, size):
 
 
 def open_bands(model, points, pool):
-    """Give a band to the matter of every bin that has reached onset."""
+    """Give a band to the matter of every cell that has reached onset."""
     ratio, mean = onset_ratio(model, points)
     number = (ratio >= 1).sum()
 
@@ -161,82 +188,114 @@ def open_bands(model, points, pool):
 
 def _open(model, points, pool, mean, cells, new):
     c, cell = model.cracking, model.numerics.cell
-    group = _group(points, cells, new)
-    one, released = _merged(model, points, cells, group)
+    group = Group(model.numerics, points, mean.shape[1:], cells, new)
+    new = group.some
+    one, released = group.merged(model)
     turn = rotation(one["gradient"])
     spatial = normals(mean, cells, c.normal_window)
     normal = jnp.stack([sum(turn[i, j] * spatial[i] for i in range(2)) for j in range(2)])
     side = jnp.sqrt(one["volume"] / c.thickness)
     size = bands.effective_size(c.effective_size, normal, jnp.where(new, side, cell))
     strain = strain_in(frames(normal, one["gradient"]), one["gradient"])
-    laws = _laws(embedding(model), one["material"])
+    laws = bands.laws_of(embedding(model), one["material"], jnp.arange(len(cells)))
     fresh = band_law.open_band(laws, tensor.from_plane(tuple(strain), c.size), normal, size)
     fresh = fresh._replace(released=released)
-    slot = jnp.argmax(group, axis=0)
-    address = slot * mean[0].size + cells
-    pool, place = bands.add(pool, bands.unsolved(fresh, c.size), address, new, one["stress"])
+    pool, place = bands.add(pool, bands.unsolved(fresh, c.size), group.lead, new, one["stress"])
     one["band"] = place.astype(points.band.dtype) + 1
-    return _put(points, one, cells, slot, group, new), pool
+    return group.replaced(one), pool
 
 
-def _take(points, name, cells):
-    """A field (..., slots, k) of all points of some bins."""
-    values = getattr(points, name)
-    bins = points.mass.ndim - 1
-    return values.reshape(*values.shape[: values.ndim - bins], -1)[..., cells]
+class Group:
+    """The uncracked points of one kind in each of some cells, which become one point."""
 
+    def __init__(self, n, points, shape, cells, new):
+        self.points, self.bins, d = points, points.mass.shape[1:], n.dimension
+        self.slots = points.mass.shape[0]
+        where = jnp.unravel_index(cells, shape)
+        halves = list(product((0, 1), repeat=d)) if n.shape.centred else [(None,) * d]
+        address, inside, shift = [], [], []
+        for upper in halves:
+            one = self._candidates(where, upper)
+            for group, part in zip((address, inside, shift), one, strict=True):
+                group.append(part)
+        self.address = jnp.concatenate(address)  # flat, of every candidate (m, k)
+        self.shift = jnp.concatenate(shift, 1)  # from place in its bin to place in the cell (d, m, k)
+        inside = jnp.concatenate(inside) & new
+        intact = inside & (self.take("mass") > 0) & (self.take("band") == 0)
+        self.first = jnp.argmax(intact, axis=0)
+        for name in ("material", "body"):
+            intact &= self.take(name) == self.of_first(self.take(name))
+        self.members = intact
+        self.some = intact.any(0)
+        self.lead = self.of_first(self.address)
 
-def _group(points, cells, new):
-    """Which points of each bin become one (slots, k): those uncracked, of the first one's kind."""
-    take = lambda name: _take(points, name, cells)  # noqa: E731
-    intact = (take("mass") > 0) & (take("band") == 0) & new
-    first = jnp.argmax(intact, axis=0)
-    same = jnp.ones_like(intact)
-    for name in ("material", "body"):
-        kind = take(name)
-        same &= kind == jnp.take_along_axis(kind, first[None], axis=0)
-    return intact & same
+    def _candidates(self, where, upper):
+        """Flat indices of all slots of a bin, which of them are in the cell, and their shift."""
+        fits, bin_of = True, []
+        for axis, u in enumerate(upper):
+            index = where[axis] - (u or 0)
+            fits &= (index >= 0) & (index < self.bins[axis])
+            bin_of.append(jnp.clip(index, 0, self.bins[axis] - 1))
+        flat = jnp.ravel_multi_index(tuple(bin_of), self.bins, mode="clip")
+        address = jnp.arange(self.slots)[:, None] * int(np.prod(self.bins)) + flat
+        inside = jnp.broadcast_to(fits, address.shape)
+        shift = jnp.zeros((len(upper), *address.shape), self.points.place.dtype)
+        if upper[0] is not None:
+            inside &= _in_half(self._at("place", address), upper)
+            moved = jnp.array([-0.5 if u else 0.5 for u in upper], shift.dtype)
+            shift = shift + moved[:, None, None]
+        return address, inside, shift
 
+    def _at(self, name, address):
+        values = getattr(self.points, name)
+        rank = values.ndim - self.points.mass.ndim
+        return values.reshape(*values.shape[:rank], -1)[..., address]
 
-def _merged(model, points, cells, group):
-    """The one point of each group by field, and the energy it has less, per volume, N/mm²."""
-    take = lambda name: _take(points, name, cells)  # noqa: E731
-    mass, volume = jnp.where(group, take("mass"), 0.0), jnp.where(group, take("volume"), 0.0)
-    mean = lambda values, weight: _mean(jnp.where(group, values, 0.0), weight)  # noqa: E731
-    one = {"mass": mass.sum(0), "volume": volume.sum(0)}
-    for name in ("velocity", "place"):
-        one[name] = mean(take(name), mass)
-    for name, weight in (("affine", mass), ("gradient", volume)):
-        one[name] = jnp.stack([mean(row, weight) for row in take(name)]) if take(name).size else take(name)[:, :, 0]
-    for name in ("home", "stress"):
-        one[name] = mean(take(name), volume)
-    gradient = take("gradient")
-    one["share"] = jnp.where(group, take("share"), 0.0).sum(-2)
-    first = jnp.argmax(group, axis=0)
-    for name in ("material", "body"):
-        one[name] = jnp.take_along_axis(take(name), first[None], axis=0)[0]
-    law = _laws(model.law, one["material"])
-    stored = (volume * law.energy(gradient)).sum(0) - one["volume"] * law.energy(one["gradient"])
-    moving = (mass * (take("velocity") ** 2).sum(0)).sum(0) - one["mass"] * (one["velocity"] ** 2).sum(0)
-    size = jnp.where(one["volume"] > 0, one["volume"], 1.0)
-    return one, (stored + moving / 2) / size
+    def take(self, name):
+        """A field of every candidate (..., m, k)."""
+        return self._at(name, self.address)
 
+    def of_first(self, values):
+        """What the first member has, (k,)."""
+        return jnp.take_along_axis(values, self.first[None], axis=0)[0]
 
-def _put(points, one, cells, slot, group, new):
-    """The points with the merged ones in place of their groups."""
-    slots = points.mass.shape[0]
-    total = points.mass[0].size
-    everywhere = jnp.arange(slots)[:, None] * total + cells
-    gone = jnp.where(group, everywhere, slots * total).reshape(-1)
-    here = jnp.where(new, slot * total + cells, slots * total)
-    changed = {}
-    for name, value in one.items():
-        old = getattr(points, name)
-        if old.size == 0:
-            continue
-        flat = old.reshape(-1, slots * total)
-        if name in ("mass", "volume", "band"):
-            flat = flat.at[:, gone].set(0, mode="drop")
-        flat = flat.at[:, here].set(value.reshape(-1, len(cells)), mode="drop")
-        changed[name] = flat.reshape(old.shape)
-    return points._replace(**changed)
+    def merged(self, model):
+        """The one point of each group by field, and the energy it has less, per volume, N/mm²."""
+        take, g = self.take, self.members
+        mass, volume = jnp.where(g, take("mass"), 0.0), jnp.where(g, take("volume"), 0.0)
+        mean = lambda values, weight: _mean(jnp.where(g, values, 0.0), weight)  # noqa: E731
+        one = {"mass": mass.sum(0), "volume": volume.sum(0)}
+        one["velocity"] = mean(take("velocity"), mass)
+        # in the bin of the first one, though it may lie outside: it is put where it belongs at once
+        first = jnp.stack([self.of_first(s) for s in self.shift])
+        one["place"] = mean(take("place") + self.shift, mass) - first
+        gradient = take("gradient")
+        one["gradient"] = jnp.stack([mean(row, volume) for row in gradient])
+        if self.points.affine.size:
+            one["affine"] = jnp.stack([mean(row, mass) for row in take("affine")])
+        for name in ("home", "stress"):
+            one[name] = mean(take(name), volume)
+        one["share"] = jnp.where(g, take("share"), 0.0).sum(-2)
+        for name in ("material", "body"):
+            one[name] = self.of_first(take(name))
+        law = jax.tree.map(lambda leaf: leaf[one["material"]] if jnp.ndim(leaf) else leaf, model.law)
+        stored = (volume * law.energy(gradient)).sum(0) - one["volume"] * law.energy(one["gradient"])
+        moving = (mass * (take("velocity") ** 2).sum(0)).sum(0) - one["mass"] * (one["velocity"] ** 2).sum(0)
+        return one, (stored + moving / 2) / jnp.where(self.some, one["volume"], 1.0)
+
+    def replaced(self, one):
+        """The points with the merged ones in place of their groups."""
+        total = self.points.mass.size
+        gone = jnp.where(self.members, self.address, total).reshape(-1)
+        here = jnp.where(self.some, self.lead, total)
+        changed = {}
+        for name, value in one.items():
+            old = getattr(self.points, name)
+            if old.size == 0:
+                continue
+            flat = old.reshape(-1, total)
+            if name in ("mass", "volume", "band"):
+                flat = flat.at[:, gone].set(0, mode="drop")
+            flat = flat.at[:, here].set(value.reshape(-1, len(self.lead)), mode="drop")
+            changed[name] = flat.reshape(old.shape)
+        return self.points._replace(**changed)

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy import ndimage
 
-HOLDS = 1e-3  # cohesion of a band, over its strength, that still holds a cell together
+HOLDS = 2e-2  # cohesion of a band, over its strength, that still holds a cell together
 MOST = 6  # fragments that move in velocity fields of their own
 LEAST = 0.005  # of all cells, below which a fragment goes with the one next to it
 

@@ -1,7 +1,6 @@
 """From the total frame to points that move: bodies become points, bands and all.
 
-An uncracked cell becomes a few points where its Gauss points are, so that its energy stays what it
-was; a cracked one becomes one point with its band. Points have the displacement, its gradient and the
+An uncracked cell becomes a few points; a cracked one becomes one point with its band. Points have the displacement, its gradient and the
 velocity that the nodes say. What loads and gauges say of nodes is shared out among the points
 around these by their mass, and goes where the points go.
 """
@@ -32,16 +31,16 @@ class Cloud(NamedTuple):
     cracked: np.ndarray  # whether it stands for a whole cracked cell (count,)
 
 
-def places(per_side):
-    """Places 0 to 1 along a cell's side: Gauss points for two, else evenly spread."""
-    if per_side == 2:
+def places(per_side, shape):
+    """Places 0 to 1 along a cell's side: Gauss points for two linear ones, else evenly spread."""
+    if per_side == 2 and shape == "linear":
         return 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3)
     return (np.arange(per_side) + 0.5) / per_side
 
 
 def cloud(scene, layout, cracked, begins):
     """The `Cloud` of a layout: of its cells, or, where the run begins, of what its shapes cover."""
-    line = places(scene.points.per_side)
+    line = places(scene.points.per_side, scene.points.shape)
     inner = np.stack(np.meshgrid(line, line, indexing="ij")).reshape(2, -1)
     if begins and scene.points.fill == "shapes":
         cell, place = _every(np.stack(np.nonzero(np.ones(layout.shape, bool))), inner)
@@ -142,7 +141,7 @@ def numerics(scene, layout, fields=1):
     p = scene.points
     shape = {
         "linear": shape_functions.Linear(),
-        "gimp": shape_functions.Gimp(0.5 / p.per_side),
+        "gimp": shape_functions.Gimp(),
         "quadratic": shape_functions.Quadratic(),
         "cubic": shape_functions.Cubic(),
     }[p.shape]
@@ -152,9 +151,10 @@ def numerics(scene, layout, fields=1):
         cell=layout.cell,
         cells=tuple(layout.shape),
         shape=shape,
-        transfer=moving.Transfer(p.transfer, p.flip, p.xpic_order),
+        transfer=moving.Transfer(p.transfer, p.flip, p.xpic_order, p.fmpm_order),
         order=p.order,
         walls=((hard(walls.left), hard(walls.right)), (hard(walls.bottom), hard(walls.top))),
+        cell_volume=layout.cell**2 * scene.grid.thickness,
         fields=fields,
     )
 

@@ -5,7 +5,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxmpm import carry, cracks, holds, moving
-from jaxmpm import transfer as transfers
 from jaxmpm.laws.finite import plus_one
 from jaxmpm.observe import Reading
 from jaxmpm.points import listed
@@ -21,7 +20,7 @@ def read(model, state, dt, sets) -> Reading:
     """
     n, points = model.numerics, state.points
     time = model.begin + state.step * dt
-    w = transfers.weights(n.shape, points.place, n.cell)
+    w = carry.weights(n, points)
     kinetic, stored, dissipated = moving.energies(model, points, state.pool)
     none = jnp.zeros_like(kinetic)
     opening = none

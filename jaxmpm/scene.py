@@ -226,7 +226,7 @@ class Points(Table):
         "cover, which follows curved edges (frame updated only)",
     )
     shape: Literal["linear", "gimp", "quadratic", "cubic"] = Field(
-        "linear", description="shape functions of the grid"
+        "gimp", description="shape functions of the grid"
     )
     transfer: Literal["taylor", "flip", "apic", "xpic"] = Field(
         "taylor", description="how velocities go to the grid and back"
@@ -235,6 +235,11 @@ class Points(Table):
         1.0, description="share of FLIP in taylor and flip, the rest is PIC, dimensionless"
     )
     xpic_order: Annotated[Count, Field(ge=1, le=10)] = Field(2, description="order m of XPIC(m)")
+    fmpm_order: Annotated[Count, Field(ge=1, le=4)] = Field(
+        1,
+        description="how much of the consistent mass increments of velocity solve for: 1 none (lumped), "
+        "2 suits cubic functions (not in xpic)",
+    )
     order: Literal["usf", "usl", "musl"] = Field(
         "usl", description="when stresses are updated: first, last, or last by velocities mapped anew"
     )

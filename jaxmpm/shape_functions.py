@@ -36,18 +36,22 @@ class Gimp:
     The width stays that of the undeformed point.
     """
 
-    half: float  # half the width over the cell size, at most 1/2
+    half: float | None = None  # half the width over the cell size, at most 1/2; None: see `weights`
 
     count = 3
     lead = 1
     centred = True
 
-    def weights(self, y):
-        """Values at the nodes of a bin, and their derivatives times the cell size."""
+    def weights(self, y, half=None):
+        """Values at the nodes of a bin, and their derivatives times the cell size.
+
+        `half` is that of each point, at most 1/2, where the shape has not one for all.
+        """
+        a = half if self.half is None else self.half
         values, slopes = [], []
         for shift in (1.0, 0.0, -1.0):
             x = y - 0.5 + shift
-            sign, d, a = jnp.sign(x), jnp.abs(x), self.half
+            sign, d = jnp.sign(x), jnp.abs(x)
             near, far = d < a, d > 1 - a
             edge = jnp.maximum(1 + a - d, 0.0)
             middle = jnp.where(near, 1 - (d * d + a * a) / (2 * a), 1 - d)

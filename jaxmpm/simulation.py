@@ -13,6 +13,7 @@ from jaxmpm.layout import lay_out
 from jaxmpm.scene import Scene
 
 MOST_STEPS = 2**31 - 2  # steps are counted in 32 bits
+OPEN = 0.9  # of a cell: opening of a crack at which a run goes on with points that move
 FRAME_FIELDS = {
     "displacement": 3, "stress": 3, "damage": 1, "opening": 1, "normal": 3, "material": 1,
 }  # fmt: skip
@@ -135,8 +136,8 @@ class Simulation:
                 f"the displacement gradient at {self.place(reading.gradient_cell)} is "
                 f"{float(reading.gradient):.3g}, more than {solver.hand_over_gradient:g}"
             )
-        if reading.opening > cell / 2:
-            return f"a crack has opened by {float(reading.opening):.3g} mm, more than half a cell"
+        if reading.opening > OPEN * cell:
+            return f"a crack has opened by {float(reading.opening):.3g} mm, nearly a cell"
         return ""
 
     def place(self, cell: int) -> str:

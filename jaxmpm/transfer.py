@@ -18,9 +18,9 @@ class Weights(NamedTuple):
     slope: list  # [axis][node], 1/mm
 
 
-def weights(shape, place, cell):
-    """`Weights` of points at a place (d, slots, *bins)."""
-    value, slope = zip(*(shape.weights(y) for y in place), strict=True)
+def weights(shape, place, cell, *own):
+    """`Weights` of points at a place (d, slots, *bins); `own` is what a shape asks for of each."""
+    value, slope = zip(*(shape.weights(y, *own) for y in place), strict=True)
     return Weights(list(value), [[s / cell for s in axis] for axis in slope])
 
 

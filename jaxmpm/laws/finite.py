@@ -90,6 +90,18 @@ def volume_change(gradient):
     return trace + minors + _determinant(h)
 
 
+def inverse(a):
+    """a⁻¹ of (d, d, ...)."""
+    d = len(a)
+    if d == 1:
+        return 1 / a
+    if d == 2:
+        adjoint = jnp.stack([jnp.stack([a[1, 1], -a[0, 1]]), jnp.stack([-a[1, 0], a[0, 0]])])
+    else:
+        adjoint = _transposed(_cofactor(a))
+    return adjoint / _determinant(a)
+
+
 def times(a, b):
     """a · b of (d, d, ...)."""
     d = range(len(a))
