@@ -182,13 +182,15 @@ def test_a_spinning_block_keeps_its_shape_energy_and_angular_momentum():
     model = Model(law, jnp.zeros(2), Numerics(1.0, (20, 20), shape, transfer))
     dt = 2e-3
     steps = round(np.pi / 2 / dt)
+    first = sum(map(float, energies(model, points)))
     state, x, fields = run(model, points, dt, steps)
     whole = sum(map(float, energies(model, state.points)))
     angular = (fields["mass"] * ((x[0] - 10) * fields["velocity"][1] - (x[1] - 10) * fields["velocity"][0])).sum()
     home = fields["home"]
     begin = (fields["mass"] * ((home[0] - 10) ** 2 + (home[1] - 10) ** 2)).sum() * spin
     assert angular == pytest.approx(begin, rel=1e-3)
-    assert whole == pytest.approx(begin * spin / 2, rel=2e-3)
+    assert whole == pytest.approx(first, rel=2e-3)
+    assert whole == pytest.approx(begin * spin / 2, rel=0.05)  # masses at nodes spin with more energy
     # a quarter turn: (x, y) has become (−y, x)
     np.testing.assert_allclose(x[0] - 10, -(home[1] - 10), atol=0.05)
     np.testing.assert_allclose(x[1] - 10, home[0] - 10, atol=0.05)
