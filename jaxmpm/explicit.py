@@ -45,7 +45,8 @@ def _step(model, prepared, state, dt):
     strain = grid.strain(state.displacement, n.cell)
     elastic = intact_stress(prepared, state.intact, strain, n.size)
     if not n.cracks:
-        force = grid.internal_force(elastic, n.cell, n.thickness)
+        plane = elastic._replace(mean=elastic.mean[:3])
+        force = grid.internal_force(plane, n.cell, n.thickness)
         return _move(model, prepared, state, force, dt)._replace(step=state.step + 1)
     flat = tuple(component.reshape(-1) for component in strain.mean)
     pool, failed = bands.solve(

@@ -203,7 +203,7 @@ def external_force(model, points, w, mass, time):
     pulls = 0.0
     for k, load in enumerate(model.forces):
         share = points.share[n.dimension * k : n.dimension * (k + 1)]
-        pulls = pulls + load.amplitude(time) * share
+        pulls = pulls + load.amplitude(time) * jnp.where(points.mass > 0, share, 0.0)  # not of free slots
     if model.body is not None:
         pulls = pulls + points.mass * model.body(points, time)
     if jnp.ndim(pulls):
