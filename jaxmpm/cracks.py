@@ -26,6 +26,9 @@ from jaxmpm.laws.elastic import Elastic
 from jaxmpm.laws.finite import plus_one, rotation, strain_in, turned, turned_stress
 
 
+BROKEN = 1e-2  # cohesion of a band, over its strength, below which its point is two
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Cracking:
@@ -63,7 +66,8 @@ class Lanes:
     """The points of all bands of a pool, as the laws need them."""
 
     def __init__(self, model, points, pool):
-        size = model.cracking.size
+        self.size = size = model.cracking.size
+        self.address = pool.cell
         self.used = (jnp.arange(pool.cell.shape[0]) < pool.count) & (pool.cell >= 0)
         self.gradient = gathered(points, points.gradient, pool.cell)
         self.material = gathered(points, points.material, pool.cell)
@@ -90,7 +94,24 @@ def solve(model, points, pool):
     target = jnp.where(lanes.used, pool.cell, flat.shape[1])
     flat = flat.at[:, target].set(stress, mode="drop")
     points = points._replace(stress=flat.reshape(points.stress.shape))
-    return points, solved._replace(cell=pool.cell), failed
+    return _still(points, lanes, solved), solved._replace(cell=pool.cell), failed
+
+
+def _still(points, lanes, pool):
+    """Points whose band is broken bring no velocity gradient to the nodes.
+
+    Nothing holds back the free motion of such a point, which in the end would be drawn to nothing or
+    turned inside out by it.
+    """
+    if not points.affine.size:
+        return points
+    softening = bands.unpacked(pool.records, lanes.size)[0].softening
+    ratio, integrity = lanes.laws.law.soften(softening, lanes.laws.bulk)
+    broken = lanes.used & (ratio * integrity < BROKEN)
+    total = points.mass.size
+    target = jnp.where(broken, lanes.address, total)
+    flat = points.affine.reshape(-1, total).at[:, target].set(0.0, mode="drop")
+    return points._replace(affine=flat.reshape(points.affine.shape))
 
 
 def current(model, points, pool):

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from jaxmpm.errors import Problems, at, did_you_mean, written
+from jaxmpm.scene_check_moving import check_moving
 
 # ---- types and ranges: from the validator's findings and the scene's own JSON schema
 
@@ -160,6 +161,7 @@ def check(tree: dict[str, Any], problems: Problems) -> None:
         _check_band(tree, name, material, problems)
     _check_one_law(tree, problems)
     _check_something_happens(tree, problems)
+    check_moving(tree, problems)
 
 
 def _entries(tree: dict, key: str) -> Iterator[tuple[Any, dict]]:
@@ -323,8 +325,9 @@ def _check_something_happens(tree: dict, problems: Problems) -> None:
         history = load.get("history")
         values.append(history.get("value") if isinstance(history, dict) else None)
     values += [body.get("velocity", [0.0]) for _, body in _entries(tree, "bodies")]
+    values.append(tree.get("gravity", [0.0]))
     # Whatever is no list of numbers is reported elsewhere and may well be meant to move.
     if all(isinstance(v, list | tuple) and all(item == 0 for item in v) for v in values):
-        what = "a displacement, a force or an initial velocity other than zero"
+        what = "a displacement, a force, gravity or an initial velocity other than zero"
         advice = "as it stands nothing happens"
         problems.add(("displacements",), what, advice)

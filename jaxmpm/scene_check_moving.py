@@ -1,0 +1,60 @@
+"""Says what does not fit together in a scene whose points move."""
+
+from typing import Any
+
+from jaxmpm.errors import Problems, written
+
+
+def check_moving(tree: dict[str, Any], problems: Problems) -> None:
+    """Add a line for each choice of points, contact and frame that does not go with the others."""
+    solver, points, contact = (_table(tree, key) for key in ("solver", "points", "contact"))
+    frame = solver.get("frame", "auto")
+    materials = {k: m for k, m in _table(tree, "materials").items() if isinstance(m, dict)}
+    _check_bulk(materials, frame, problems)
+    cracks = [name for name, material in materials.items() if material.get("band")]
+    shape = points.get("shape", "gimp")
+    if cracks and frame != "total" and shape in ("quadratic", "cubic"):
+        problems.add(
+            ("points", "shape"), f'"linear" or "gimp" with materials.{cracks[0]}, which cracks',
+            "splines reach over a crack of one cell and lock it",
+        )  # fmt: skip
+    if points.get("fill") == "shapes" and frame != "updated":
+        problems.add(("points", "fill"), '"cells" in this frame', 'or solver.frame = "updated"')
+    if contact.get("between") == "fragments" and frame == "updated":
+        what = f'"bodies" with solver.frame = {written(frame)}'
+        problems.add(("contact", "between"), what, "fragments are found when the total frame hands over")
+    if points.get("transfer") == "xpic" and points.get("fmpm_order", 1) != 1:
+        problems.add(("points", "fmpm_order"), '1 with points.transfer = "xpic"')
+    if frame == "updated":
+        _check_starts_at_zero(tree, problems)
+
+
+def _table(tree: dict, key: str) -> dict:
+    value = tree.get(key, {})
+    return value if isinstance(value, dict) else {}
+
+
+def _check_bulk(materials: dict, frame: str, problems: Problems) -> None:
+    laws = {}
+    for name, material in materials.items():
+        bulk = material.get("bulk")
+        laws[name] = bulk.get("law") if isinstance(bulk, dict) else None
+    first = next((law for law in laws.values() if law), None)
+    for name, law in laws.items():
+        path = ("materials", name, "bulk", "law")
+        if law == "neo_hookean" and frame != "updated":
+            problems.add(path, '"elastic" in this frame', 'or solver.frame = "updated"')
+        elif law == "neo_hookean" and materials[name].get("band"):
+            problems.add(path, '"elastic" in a material that cracks')
+        elif law and law != first:
+            problems.add(path, f"{written(first)} as the other materials have", "one law for all bulks")
+
+
+def _check_starts_at_zero(tree: dict, problems: Problems) -> None:
+    loads = tree.get("displacements")
+    for index, load in enumerate(loads if isinstance(loads, list | tuple) else ()):
+        history = load.get("history") if isinstance(load, dict) else None
+        value = history.get("value") if isinstance(history, dict) else None
+        if isinstance(value, list | tuple) and value and value[0] not in (0, 0.0):
+            path = ("displacements", index, "history", "value")
+            problems.add(path, "to begin with 0 where points move", "a sudden displacement has no rate")
