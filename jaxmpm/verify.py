@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmpm import grid
+from jaxmpm import grid, verify_bodies, verify_moving, verify_scenes
 from jaxmpm.laws import balance
 from jaxmpm.laws import band as band_law
 from jaxmpm.laws.band import Embedding
@@ -210,4 +210,16 @@ CHECKS = {
     "patch": patch,
     "opening": opening,
     "energy": energy,
+    "manufactured": verify_moving.manufactured,
+    "noise": verify_moving.noise,
+    "vortex": verify_moving.vortex,
+    "vibrating_bar": verify_bodies.vibrating_bar,
+    "free_fall": verify_bodies.free_fall,
+    "affine": verify_bodies.patch,
+    "discs": verify_bodies.discs,
+    "turned": verify_scenes.turned,
+    "frames": verify_scenes.frames,
+    "cantilever": verify_scenes.cantilever,
+    "brazil": verify_scenes.brazil,
+    "debris": verify_scenes.debris,
 }
