@@ -135,8 +135,11 @@ def advance(model, state, dt, until):
 
     def turn(state):
         state = _step(model, state, dt)
-        return state if state.pool is not None else _step(model, state, dt, go(state))
+        return _step(model, state, dt, go(state)) if twice else state
 
+    # what the first of two steps writes the second reads, and nothing need be copied to where the loop
+    # began: a fifth of a short step, little of a long one, which would only take longer to compile
+    twice = model.cracking is None and not model.numerics.affine and model.numerics.shape.count == 2
     points = separate(state.points)
     if model.cracking is None:
         points = points._replace(stress=())

@@ -106,7 +106,7 @@ def total_runner(scene, dtype):
     elastic = Elastic(one(scene.young / (1 - scene.poisson**2)), one(nu))
     embedding = Embedding(elastic, Damage(*map(one, (1.0, 1.0, 1.0, 1.0))))
     model = total_model.Model(
-        embedding, one(scene.density), jnp.zeros((), dtype), jnp.zeros((cells, cells), jnp.int32),
+        embedding, one(scene.density), jnp.zeros((), dtype), jnp.zeros(2, dtype), jnp.zeros((cells, cells), jnp.int32),
         jnp.asarray(free, dtype), (), (), {},
         total_model.Numerics(size, 1.0, PLANE_STRESS, "fixed", 1, False),
     )  # fmt: skip
