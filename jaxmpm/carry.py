@@ -1,62 +1,84 @@
 """What points bring to the nodes, and take back, in the terms of mechanics.
 
-Nodal arrays begin with an axis of velocity fields: one, or one for each body where they rub.
+Points are given by components, see `points.separate`. A nodal vector is a list of components, each
+with an axis of velocity fields first, (fields, *nodes): one field, or one for each body where they rub.
 """
 
+import jax
 import jax.numpy as jnp
 
 from jaxmpm import tensor
 from jaxmpm import transfer as transfers
 from jaxmpm.shape_functions import Gimp
-from jaxmpm.transfer import at_bins, slope_at, stencil, to_nodes, to_points, value_at
+from jaxmpm.tensor import Matrix
+from jaxmpm.transfer import apart, at_bins, slope_at, stencil, to_nodes, to_points, value_at
 
 
 def weights(n, points):
     """`transfer.Weights` of the points; those of uGIMP are as wide as their volume says."""
     own = ()
     if n.shape == Gimp():
-        share = points.volume / n.cell_volume
-        half = 0.5 * jnp.where(points.volume > 0, share, 1.0) ** (1 / n.dimension)
+        share = jnp.where(points.volume > 0, points.volume / n.cell_volume, 1.0)
+        half = 0.5 * (share, jnp.sqrt(share), jnp.cbrt(share))[n.dimension - 1]
         own = (jnp.clip(half, 0.01, 0.5),)
     return transfers.weights(n.shape, points.place, n.cell, *own)
 
 
 def to_fields(n, points, contribution):
-    """Nodal sums (fields, ..., *nodes) of `contribution(node)`, the ghosts' share handed on."""
+    """Nodal sums of `contribution(node)`, a list of (slots, *bins), the ghosts' share handed on.
+
+    Returns:
+        a list of (fields, *nodes)
+    """
 
     def total(mine):
-        part = to_nodes(n.shape, lambda node: mine(contribution(node)), n.dimension)
+        part = to_nodes(n.shape, lambda node: [mine(c) for c in contribution(node)], n.dimension)
         return transfers.fold(n.shape, part, points.window, n.cells)
 
     if n.fields == 1:
-        return total(lambda part: part)[None]
+        return list(total(lambda part: part)[:, None])
     belongs = [points.body == k for k in range(n.fields)]
-    return jnp.stack([total(lambda part: jnp.where(own, part, 0.0)) for own in belongs])  # noqa: B023
+    return list(jnp.stack([total(lambda part: jnp.where(own, part, 0.0)) for own in belongs], 1))  # noqa: B023
 
 
 def from_fields(n, points, take, values):
-    """`take(values[k])` of the field k that each point moves in."""
-    out = take(values[0])
+    """`take` of the components (*nodes) of a nodal vector in the field that each point moves in."""
+    out = take([v[0] for v in values])
     for k in range(1, n.fields):
-        out = jnp.where(points.body == k, take(values[k]), out)
+        mine = points.body == k
+        other = take([v[k] for v in values])
+        out = jax.tree.map(lambda a, b: jnp.where(mine, a, b), other, out)  # noqa: B023
     return out
 
 
+def at_points(n, points, w, values):
+    """A nodal vector at the points, a list of (slots, *bins)."""
+    return from_fields(n, points, lambda v: to_points(n.shape, w, v), values)
+
+
+def unfolded(n, points, values):
+    """Nodal values with ghosts as the continuation of what is inside."""
+    if not n.shape.lead:
+        return list(values)
+    return list(transfers.unfold(n.shape, apart(values), points.window, n.cells))
+
+
 def mass_and_momentum(n, points, w, velocity):
-    """Mass (fields, *nodes), tonne, and momentum (fields, d, *nodes), tonne mm/s."""
+    """Mass (fields, *nodes), tonne, and momentum, tonne mm/s."""
 
     def contribution(node):
         share = value_at(w, node) * points.mass
         moves = velocity
         if n.affine:
             arm = arms(n, points, node)
-            moves = velocity + jnp.stack(
-                [sum(row[b] * arm[b] for b in range(len(arm))) for row in points.affine]
-            )
-        return jnp.concatenate([share[None], share * moves])
+            moves = [
+                v + sum(row[b] * arm[b] for b in range(len(arm)))
+                for v, row in zip(velocity, points.affine, strict=True)
+            ]
+        return [share, *(share * v for v in moves)]
 
-    total = to_fields(n, points, contribution)
-    return total[:, 0], total[:, 1:]
+    mass, *momentum = to_fields(n, points, contribution)
+    return mass, momentum
 
 
 def arms(n, points, node):
@@ -66,26 +88,28 @@ def arms(n, points, node):
 
 
 def mass_arm(n, points, w):
-    """Mass times its place seen from the node (fields, d, *nodes), tonne mm."""
+    """Mass times its place seen from the node, tonne mm."""
 
     def contribution(node):
-        return jnp.stack([-a for a in arms(n, points, node)]) * (value_at(w, node) * points.mass)
+        share = value_at(w, node) * points.mass
+        return [-a * share for a in arms(n, points, node)]
 
     return to_fields(n, points, contribution)
 
 
 def internal_force(n, points, w):
-    """−Σ V τ·∇N (fields, d, *nodes), N."""
+    """−Σ V τ·∇N, N."""
     d = n.dimension
+    stress = [-points.volume * value for value in points.stress]
 
     def contribution(node):
         slopes = [slope_at(w, node, b) for b in range(d)]
         rows = [0.0] * d
-        for value, (i, j) in zip(points.stress, tensor.IN_SPACE[d], strict=True):
+        for value, (i, j) in zip(stress, tensor.IN_SPACE[d], strict=True):
             rows[i] = rows[i] + value * slopes[j]
             if i != j:
                 rows[j] = rows[j] + value * slopes[i]
-        return -points.volume * jnp.stack(rows)
+        return rows
 
     return to_fields(n, points, contribution)
 
@@ -97,14 +121,14 @@ def heavy(mass):
 
 
 def velocity_of(mass, momentum):
-    """Velocity of the nodes (fields, d, *nodes), zero where there is no mass."""
+    """Velocity of the nodes, zero where there is no mass."""
     carries, safe = heavy(mass)
-    return jnp.where(carries[:, None], momentum / safe[:, None], 0.0)
+    return [jnp.where(carries, p / safe, 0.0) for p in momentum]
 
 
 def kinetic_energy(n, points, w):
     """Energy of the motion that points bring to the nodes, N·mm: their own and of their affine fields."""
-    energy = (points.mass * (points.velocity**2).sum(0)).sum() / 2
+    energy = (points.mass * sum(v**2 for v in points.velocity)).sum() / 2
     if not n.affine:
         return energy
     for b in range(n.dimension):
@@ -120,30 +144,39 @@ def _second_moment(n, points, w, axis):
     return sum(v * ((k - n.shape.lead + middle - y) * n.cell) ** 2 for k, v in enumerate(w.value[axis]))
 
 
-def moved(n, points, w, before, after, mass, dt):
-    """Points at their places and with their velocities after the step."""
-    d, kind = n.dimension, n.transfer.kind
-    value = lambda v: to_points(n.shape, w, v, d)  # noqa: E731
-    carried = from_fields(n, points, value, after)
-    used = points.mass > 0
+def moved(n, points, w, before, after, change, mass, dt):
+    """Points at their places and with their velocities after the step, not written yet.
+
+    Args:
+        n: `moving.Numerics`.
+        points, w: before the step, and their weights.
+        before, after, change: velocities of the nodes, and the difference.
+        mass: of the nodes.
+        dt: s.
+    """
+    kind = n.transfer.kind
+    carried = at_points(n, points, w, after)
     if kind in ("flip", "taylor"):
         flip = n.transfer.flip
-        velocity = points.velocity + from_fields(n, points, value, after - before)
+        velocity = _added(points.velocity, at_points(n, points, w, change))
         if flip != 1:
-            velocity = flip * velocity + (1 - flip) * carried
+            velocity = [flip * v + (1 - flip) * c for v, c in zip(velocity, carried, strict=True)]
     elif kind == "apic":
         velocity = carried
         points = points._replace(affine=_affine(n, points, w, after))
     else:
-        velocity = _xpic(n, points, w, before, after, mass)
-    place = points.place + jnp.where(used, dt / n.cell * carried, 0.0)
-    return points._replace(place=place, velocity=jnp.where(used, velocity, 0.0))
+        velocity = _xpic(n, points, w, before, change, mass)
+    place = _added(points.place, [dt / n.cell * c for c in carried])
+    return points._replace(place=place, velocity=velocity)
+
+
+def _added(a, b):
+    return [x + y for x, y in zip(a, b, strict=True)]
 
 
 def velocity_gradient(n, points, w, velocity):
-    """∇v (d, d, slots, *bins) of nodal velocities (fields, d, *nodes), 1/s."""
-    take = lambda v: transfers.gradient(n.shape, w, v, n.dimension)  # noqa: E731
-    return from_fields(n, points, take, velocity)
+    """∇v, `Matrix`, of nodal velocities, 1/s."""
+    return from_fields(n, points, lambda v: transfers.gradient(n.shape, w, v), velocity)
 
 
 def _affine(n, points, w, velocity):
@@ -153,26 +186,25 @@ def _affine(n, points, w, velocity):
     if inverse is None:
         return velocity_gradient(n, points, w, velocity)
 
-    def take(v):
-        total = 0.0
+    def take(values):
+        total = [[0.0] * d for _ in values]
         for node in stencil(n.shape, d):
-            arm = jnp.stack(arms(n, points, node))
-            share = value_at(w, node) * at_bins(n.shape, v, node, d)
-            total = total + share[:, None] * arm[None]
-        return total * (inverse / n.cell**2)
+            share = value_at(w, node) * (inverse / n.cell**2)
+            arm = [share * a for a in arms(n, points, node)]
+            for row, v in zip(total, values, strict=True):
+                row[:] = _added(row, [a * at_bins(n.shape, v, node) for a in arm])
+        return Matrix(total)
 
     return from_fields(n, points, take, velocity)
 
 
-def _xpic(n, points, w, before, after, mass):
+def _xpic(n, points, w, before, change, mass):
     """(I − (I − S S⁺)^m) v + Σ N (v_new − v_old): what the grid does not see is filtered out."""
-    value = lambda v: to_points(n.shape, w, v, n.dimension)  # noqa: E731
-    left = points.velocity
+    left, seen = points.velocity, apart(before)
     for k in range(n.transfer.order):
-        if k == 0:
-            seen = before
-        else:
+        if k > 0:
             momentum = mass_and_momentum(n, points, w, left)[1]
-            seen = transfers.unfold(n.shape, velocity_of(mass, momentum), points.window, n.cells)
-        left = left - from_fields(n, points, value, seen)
-    return points.velocity - left + from_fields(n, points, value, after - before)
+            seen = unfolded(n, points, velocity_of(mass, momentum))
+        left = [v - s for v, s in zip(left, at_points(n, points, w, list(seen)), strict=True)]
+    filtered = [v - rest for v, rest in zip(points.velocity, left, strict=True)]
+    return _added(filtered, at_points(n, points, w, change))

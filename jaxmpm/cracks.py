@@ -24,6 +24,8 @@ from jaxmpm.explicit import PRECISION, most_critical, normals
 from jaxmpm.laws import band as band_law
 from jaxmpm.laws.elastic import Elastic
 from jaxmpm.laws.finite import plus_one, rotation, strain_in, turned, turned_stress
+from jaxmpm.points import joined, separate
+from jaxmpm.transfer import sums
 
 
 BROKEN = 1e-2  # cohesion of a band, over its strength, below which its point is two
@@ -50,9 +52,13 @@ def embedding(model):
 
 
 def gathered(points, values, address):
-    """A field (..., slots, *bins) at the points of bands (..., capacity)."""
-    rank = values.ndim - points.mass.ndim
-    return values.reshape(*values.shape[:rank], -1)[..., jnp.maximum(address, 0)]
+    """A field, whole or by components, (..., slots, *bins) at the points of bands (..., capacity)."""
+
+    def take(a):
+        flat = a.reshape(*a.shape[: a.ndim - points.mass.ndim], -1)
+        return flat.at[..., jnp.maximum(address, 0)].get(mode="promise_in_bounds")
+
+    return jax.tree.map(take, values)
 
 
 def frames(normal, gradient):
@@ -74,12 +80,12 @@ class Lanes:
         self.volume = jnp.where(self.used, gathered(points, points.volume, pool.cell), 0.0)
         self.normal = bands.unpacked(pool.records, size)[0].normal
         self.turn = frames(self.normal, self.gradient)
-        self.strain = jnp.where(self.used, strain_in(self.turn, self.gradient), 0.0)
+        self.strain = [jnp.where(self.used, e, 0.0) for e in strain_in(self.turn, self.gradient)]
         self.laws = bands.laws_of(embedding(model), self.material, jnp.arange(pool.cell.shape[0]))
 
 
 def solve(model, points, pool):
-    """Answer of every band to the deformation of its point.
+    """Answer of every band to the deformation of its point, points by components.
 
     Returns:
         (points with the stress of the bands, pool, place of a band that did not converge or -1)
@@ -89,11 +95,10 @@ def solve(model, points, pool):
     solved, failed = bands.solve(
         own, embedding(model), lanes.material, tuple(lanes.strain), model.cracking.size, PRECISION
     )
+    target = jnp.where(lanes.used, pool.cell, points.mass.size)
+    put = lambda a, own: a.reshape(-1).at[target].set(own, mode="drop").reshape(a.shape)  # noqa: E731
     stress = turned_stress(lanes.turn, solved.stress, lanes.gradient)
-    flat = points.stress.reshape(len(points.stress), -1)
-    target = jnp.where(lanes.used, pool.cell, flat.shape[1])
-    flat = flat.at[:, target].set(stress, mode="drop")
-    points = points._replace(stress=flat.reshape(points.stress.shape))
+    points = points._replace(stress=tuple(map(put, points.stress, stress)))
     return _still(points, lanes, solved), solved._replace(cell=pool.cell), failed
 
 
@@ -103,15 +108,14 @@ def _still(points, lanes, pool):
     Nothing holds back the free motion of such a point, which in the end would be drawn to nothing or
     turned inside out by it.
     """
-    if not points.affine.size:
+    if not jax.tree.leaves(points.affine):
         return points
     softening = bands.unpacked(pool.records, lanes.size)[0].softening
     ratio, integrity = lanes.laws.law.soften(softening, lanes.laws.bulk)
     broken = lanes.used & (ratio * integrity < BROKEN)
-    total = points.mass.size
-    target = jnp.where(broken, lanes.address, total)
-    flat = points.affine.reshape(-1, total).at[:, target].set(0.0, mode="drop")
-    return points._replace(affine=flat.reshape(points.affine.shape))
+    target = jnp.where(broken, lanes.address, points.mass.size)
+    put = lambda a: a.reshape(-1).at[target].set(0.0, mode="drop").reshape(a.shape)  # noqa: E731
+    return points._replace(affine=jax.tree.map(put, points.affine))
 
 
 def current(model, points, pool):
@@ -134,19 +138,19 @@ def energies(model, points, pool):
 
 
 def cell_sums(n, points, values):
-    """Sum of values (..., slots, *bins) over the points of each cell of the grid (..., *cells).
+    """Sums of values, a list of (slots, *bins), over the points of each cell of the grid (*cells).
 
     Where bins surround cells' corners there is one cell more than bins along each axis, the first of
     them half a bin before the first bin.
     """
-    d = n.dimension
     if not n.shape.centred:
-        return values.sum(-1 - d)
-    total = 0.0
-    for upper in product((0, 1), repeat=d):
-        part = jnp.where(_in_half(points.place, upper), values, 0.0).sum(-1 - d)
-        pads = [(0, 0)] * (part.ndim - d) + [(u, 1 - u) for u in upper]
-        total = total + jnp.pad(part, pads)
+        return sums(values, 0)
+    total = [0.0] * len(values)
+    for upper in product((0, 1), repeat=n.dimension):
+        half = _in_half(points.place, upper)
+        pads = [(u, 1 - u) for u in upper]
+        parts = sums([jnp.where(half, value, 0.0) for value in values], 0)
+        total = [t + jnp.pad(part, pads) for t, part in zip(total, parts, strict=True)]
     return total
 
 
@@ -164,27 +168,27 @@ def _mean(values, weight):
 
 
 def onset_ratio(model, points):
-    """Strength ratio r̂ of the mean stress of the uncracked points of each cell, and of all of them.
-
-    Returns:
-        (ratio (*cells), mean stress of all points of a cell (3, *cells), MPa)
-    """
+    """Strength ratio r̂ of the mean stress of the uncracked points of each cell (*cells)."""
     n, size = model.numerics, model.cracking.size
     intact = jnp.where(points.band == 0, points.volume, 0.0)
     laws = embedding(model)
-    kinds = len(model.law.E)
-    kind = jnp.maximum(points.material, 0).astype(intact.dtype) if kinds > 1 else None
-    parts = [intact[None], points.stress * intact, points.volume[None], points.stress * points.volume]
-    if kinds > 1:
-        parts.append((kind * intact)[None])
-    sums = cell_sums(n, points, jnp.concatenate(parts))
-    volume, whole = (jnp.where(sums[k] > 0, sums[k], 1.0) for k in (0, 4))
-    mean = sums[1:4] / volume
-    # where materials meet that of the nearest number: the points that crack are of one kind
-    material = jnp.round(sums[8] / volume).astype(jnp.int32) if kinds > 1 else None
-    laws = bands.at(laws, 0) if kinds == 1 else bands.at(laws, material)
-    ratio = laws.law.onset(_full(mean, laws, size), laws.bulk)
-    return jnp.where(sums[0] > 0, ratio, 0.0), sums[5:8] / whole
+    parts = [intact, *(s * intact for s in points.stress)]
+    if len(model.law.E) > 1:
+        parts.append(points.material * intact)
+    volume, *mean = cell_sums(n, points, parts)
+    some = volume > 0
+    mean = [value / jnp.where(some, volume, 1.0) for value in mean]
+    if len(model.law.E) == 1:
+        laws = bands.at(laws, 0)
+    else:  # where materials meet that of the nearest number: the points that crack are of one kind
+        laws = bands.at(laws, jnp.round(mean.pop()).astype(jnp.int32))
+    return jnp.where(some, laws.law.onset(_full(jnp.stack(mean), laws, size), laws.bulk), 0.0)
+
+
+def mean_stress(n, points):
+    """Mean stress of all points of each cell (3, *cells), MPa."""
+    volume, *total = cell_sums(n, points, [points.volume, *(s * points.volume for s in points.stress)])
+    return jnp.stack([part / jnp.where(volume > 0, volume, 1.0) for part in total])
 
 
 def _full(stress, laws, size):
@@ -196,19 +200,23 @@ def _full(stress, laws, size):
 
 
 def open_bands(model, points, pool):
-    """Give a band to the matter of every cell that has reached onset."""
-    ratio, mean = onset_ratio(model, points)
+    """Give a band to the matter of every cell that has reached onset; points by components."""
+    ratio = onset_ratio(model, points)
     number = (ratio >= 1).sum()
 
-    def open_them(points, pool):
+    def open_them(carry):
+        _, points, pool = carry
         cells, new = most_critical(ratio, number)
-        return _open(model, points, pool, mean, cells, new)
+        points, pool = _open(model, joined(points), pool, cells, new)
+        return jnp.zeros((), bool), separate(points), pool
 
-    return lax.cond(number > 0, open_them, lambda *parts: parts, points, pool)
+    # a loop of one turn or none: a condition would copy all points in every step
+    return lax.while_loop(lambda carry: carry[0], open_them, (number > 0, points, pool))[1:]
 
 
-def _open(model, points, pool, mean, cells, new):
+def _open(model, points, pool, cells, new):
     c, cell = model.cracking, model.numerics.cell
+    mean = mean_stress(model.numerics, points)
     group = Group(model.numerics, points, mean.shape[1:], cells, new)
     new = group.some
     one, released = group.merged(model)

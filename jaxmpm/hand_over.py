@@ -201,12 +201,12 @@ def moving_model(scene, layout, model, time, fields=1):
         )  # fmt: skip
     return moving.Model(
         law=law,
-        gravity=model.gravity,
+        gravity=model.gravity if any(scene.gravity) else None,
         numerics=numerics(scene, layout, fields),
         holds=holds(model, layout, array),
         forces=model.forces,
         cracking=cracking,
-        damping=model.damping,
+        damping=model.damping if scene.solver.damping else None,
         friction=array(scene.contact.friction),
         begin=array(time),
     )
@@ -276,13 +276,8 @@ def to_points(scene, layout, model, state, time, fields=1, body_of=None):
 @jax.jit
 def _settled(model, state):
     """The state with the stresses of its deformation."""
-    points = state.points
-    stress = moving.law_of(model, points).kirchhoff(points.gradient)
-    points = points._replace(stress=jnp.where(points.mass > 0, stress, 0.0))
-    if model.cracking is None:
-        return state._replace(points=points)
-    points, pool, failed = cracks.solve(model, points, state.pool)
-    return state._replace(points=points, pool=pool, failed=failed)
+    points, pool, failed = moving.stressed(model, points_of.separate(state.points), state.pool)
+    return state._replace(points=points_of.joined(points), pool=pool, failed=failed)
 
 
 MARGIN = 2  # bins around the points to begin with

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import jax
 import jax.numpy as jnp
+from jax import lax
 
 from jaxmpm.loads import Load
 
@@ -28,16 +29,15 @@ def on_window(n, points, values, shift=None):
 
     With `shift` (d,) in cells, as it would be had it moved so far.
     """
-    shape, d = values.shape[-n.dimension :], n.dimension
-    out = values
-    for axis in range(d):
-        count = points.mass.shape[1 + axis] + n.shape.count - 1
-        number = points.window[axis] - n.shape.lead + jnp.arange(count)
-        if shift is not None:
-            number = number - shift[axis]
-        number = jnp.where(number < 0, shape[axis], number)  # a negative index would count from behind
-        out = jnp.take(out, number, axis=axis - d, mode="fill", fill_value=0)
-    return out
+    d, rank = n.dimension, values.ndim - n.dimension
+    counts = [bins + n.shape.count - 1 for bins in points.mass.shape[1:]]
+    first = points.window - n.shape.lead + jnp.array(counts)
+    if shift is not None:
+        first = first - shift
+    # where the window is off the grid altogether it is off the slice too, in the zeros beside it
+    padded = jnp.pad(values, [(0, 0)] * rank + [(count, count) for count in counts])
+    starts = [jnp.clip(first[a], 0, values.shape[rank + a] + counts[a]) for a in range(d)]
+    return lax.dynamic_slice(padded, [0] * rank + starts, values.shape[:rank] + tuple(counts))
 
 
 def shift_of(n, hold, time):
@@ -49,7 +49,7 @@ def shift_of(n, hold, time):
 
 
 def held(n, holds, points, velocity, time, dt):
-    """Velocities (..., d, *nodes) with those of the walls and of the holds put in.
+    """Velocities, a list of (fields, *nodes), with those of the walls and of the holds put in.
 
     Args:
         n: `Numerics`.
@@ -63,20 +63,19 @@ def held(n, holds, points, velocity, time, dt):
     for hold in holds:
         which = on_window(n, points, hold.which, shift_of(n, hold, time - dt))
         rate = (hold.load.amplitude(time) - hold.load.amplitude(time - dt)) / dt
-        known = (rate * hold.cosines).reshape(-1, *[1] * n.dimension)
-        velocity = jnp.where(which > 0, known, velocity)
+        velocity = [
+            jnp.where(here > 0, rate * along, v)
+            for here, along, v in zip(which, hold.cosines, velocity, strict=True)
+        ]
     return velocity
 
 
 def _walls(n, points, velocity):
-    d = n.dimension
-    rank = velocity.ndim - d - 1
+    d, velocity = n.dimension, list(velocity)
     for axis, sides in enumerate(n.walls):
-        count = velocity.shape[rank + 1 + axis]
-        number = points.window[axis] - n.shape.lead + jnp.arange(count)
+        number = points.window[axis] - n.shape.lead + jnp.arange(velocity[0].shape[1 + axis])
         number = number.reshape([-1 if a == axis else 1 for a in range(d)])
         for side, at_edge in zip(sides, (number <= 0, number >= n.cells[axis]), strict=True):
             for row in {"slip": (axis,), "stick": range(d)}.get(side, ()):
-                here = (slice(None),) * rank + (row,)
-                velocity = velocity.at[here].set(jnp.where(at_edge, 0.0, velocity[here]))
+                velocity[row] = jnp.where(at_edge, 0.0, velocity[row])
     return velocity

@@ -20,14 +20,17 @@ import jax.numpy as jnp
 from jax import lax
 
 from jaxmpm import carry, contact, cracks
-from jaxmpm import transfer as transfers
 from jaxmpm.bands import Pool
 from jaxmpm.explicit import needs_room
 from jaxmpm.holds import held
 from jaxmpm.laws.finite import inverse, plus_one, times
 from jaxmpm.model import Ledger
-from jaxmpm.points import Points, Room, rebin
-from jaxmpm.transfer import to_points, value_at
+from jaxmpm.points import MATRICES, VECTORS, Points, Room, joined, separate
+from jaxmpm.rebinning import rebin_parts
+from jaxmpm.tensor import Matrix
+from jaxmpm.transfer import apart, together, value_at
+
+FEW = 8  # results of one loop over points
 
 
 @dataclass(frozen=True)
@@ -80,13 +83,13 @@ class Model:
     """What moves, and how."""
 
     law: Any  # a hyperelastic law: kirchhoff(H) and energy(H), leaves (materials,)
-    gravity: jax.Array  # (d,), mm/s²
+    gravity: jax.Array | None  # (d,), mm/s²
     numerics: Numerics = field(metadata={"static": True})
     body: Any = field(default=None, metadata={"static": True})  # acceleration(points, time), mm/s²
     holds: tuple = ()  # supports and moved sets, see `holds`
     forces: tuple = ()  # loads whose rows of `Points.share` say where they pull, in this order
     cracking: cracks.Cracking | None = None
-    damping: Any = 0.0  # local damping coefficient
+    damping: Any = None  # local damping coefficient
     friction: Any = 0.0  # coefficient between bodies that have fields of their own
     begin: Any = 0.0  # time of step 0, s
 
@@ -113,31 +116,8 @@ def first_state(points, pool=None, kinetic=0.0):
 
 def step(model, state, dt):
     """The state after one step of dt (s)."""
-    n, points = model.numerics, state.points
-    time = model.begin + state.step * dt
-    w = carry.weights(n, points)
-    mass, momentum = carry.mass_and_momentum(n, points, w, points.velocity)
-    before = _held(model, points, carry.velocity_of(mass, momentum), time, dt)
-    pool, failed = state.pool, state.failed
-    if n.order == "usf":
-        points, pool, failed = _deform(model, points, pool, w, before, dt)
-    after, ledger = _accelerate(model, points, w, mass, before, time, dt)
-    after = _less_lumped(model, points, w, mass, before, after, time + dt, dt)
-    moved = carry.moved(n, points, w, before, after, mass, dt)
-    if n.order == "usl":
-        moved, pool, failed = _deform(model, moved, pool, w, after, dt)
-    elif n.order == "musl":
-        again = carry.mass_and_momentum(n, moved, w, moved.velocity)[1]
-        again = _held(model, points, carry.velocity_of(mass, again), time + dt, dt)
-        moved, pool, failed = _deform(model, moved, pool, w, again, dt)
-    if model.cracking is not None:
-        moved, pool = cracks.open_bands(model, moved, pool)
-    moved, address, room = rebin(moved, None if pool is None else pool.cell)
-    pool = None if pool is None else pool._replace(cell=address)
-    work = state.work._replace(
-        external=state.work.external + ledger[0], damping=state.work.damping + ledger[1]
-    )
-    return State(moved, state.step + 1, room, pool, failed, work, state.rubbed + ledger[2])
+    state = _step(model, state._replace(points=separate(state.points)), dt)
+    return _whole(model, state)
 
 
 @jax.jit
@@ -153,84 +133,202 @@ def advance(model, state, dt, until):
         on = (state.step < until) & ~room & (state.failed < 0)
         return on if state.pool is None else on & ~needs_room(state)
 
-    return lax.while_loop(go, lambda state: step(model, state, dt), state)
+    def turn(state):
+        state = _step(model, state, dt)
+        return _step(model, state, dt, go(state)) if twice else state
+
+    # what the first of two steps writes the second reads, and nothing need be copied to where the loop
+    # began: a fifth of a short step, little of a long one, which would only take longer to compile
+    twice = model.cracking is None and not model.numerics.affine and model.numerics.shape.count == 2
+    points = separate(state.points)
+    if model.cracking is None:
+        points = points._replace(stress=())
+    state = lax.while_loop(go, turn, state._replace(points=points))
+    return _whole(model, state)
+
+
+def _whole(model, state):
+    """A state whose points are whole arrays, with their stress."""
+    points = state.points
+    return state._replace(points=joined(_with_stress(model, points) if model.cracking is None else points))
+
+
+def _step(model, state, dt, on=True):
+    """The state, points by components, after one step; the same but for round-off where not `on`.
+
+    Without bands the stress is not kept: it follows from the deformation wherever it is needed.
+    """
+    n, points, pool, failed = model.numerics, state.points, state.pool, state.failed
+    time = model.begin + state.step * dt
+    w = carry.weights(n, points)
+    mass, momentum = carry.mass_and_momentum(n, points, w, points.velocity)
+    before = _held(model, points, carry.velocity_of(mass, momentum), time, dt)
+    if n.order == "usf":
+        points = _written(_deformed(n, points, w, before, dt), points, on)
+        points, pool, failed = stressed(model, points, pool)
+    elif model.cracking is None:
+        points = _with_stress(model, points)
+    after, ledger = _accelerate(model, points, w, mass, before, time, dt)
+    after = _less_lumped(model, points, w, mass, before, after, time + dt, dt)
+    both = apart([*after, *(a - b for a, b in zip(after, before, strict=True))])
+    after, change = list(both[: n.dimension]), list(both[n.dimension :])
+    moved = carry.moved(n, points, w, before, after, change, mass, dt)
+    if n.order == "usl":
+        moved = _deformed(n, moved, w, after, dt)
+    moved = _written(moved, points, on)
+    if n.order == "musl":
+        again = carry.mass_and_momentum(n, moved, w, moved.velocity)[1]
+        again = apart(_held(model, points, carry.velocity_of(mass, again), time + dt, dt))
+        moved = _written(_deformed(n, moved, w, list(again), dt), moved, on)
+    if n.order != "usf":
+        moved, pool, failed = stressed(model, moved, pool)
+    if model.cracking is not None:
+        moved, pool = cracks.open_bands(model, moved, pool)
+    return _next(model, state, moved, pool, failed, ledger, on)
+
+
+def _next(model, state, points, pool, failed, ledger, on):
+    """The state of points that have moved."""
+    if model.cracking is None:
+        points = points._replace(stress=())
+    points, address, room = rebin_parts(points, None if pool is None else pool.cell)
+    pool = None if pool is None else pool._replace(cell=address)
+    external, damping, rubbed = (jnp.where(on, part, 0.0) for part in ledger)
+    work = state.work._replace(external=state.work.external + external, damping=state.work.damping + damping)
+    room = Room(*(a | b for a, b in zip(state.room, room, strict=True)))
+    return State(points, state.step + on, room, pool, failed, work, state.rubbed + rubbed)
+
+
+def _written(new, old, on):
+    """Points written to memory, in few loops; `old` ones where not `on` or where a slot is free."""
+    used = (new.mass > 0) & on
+    names = [[*VECTORS[:2], *MATRICES]]
+    size = lambda some: sum(len(jax.tree.leaves(getattr(new, name))) for name in some)  # noqa: E731
+    if size(names[0]) > FEW:
+        names = [VECTORS[:2], MATRICES]
+    for some in names:
+        changed = {name: getattr(new, name) for name in some if getattr(new, name) is not getattr(old, name)}
+        leaves, tree = jax.tree.flatten({name: (a if isinstance(a, Matrix) else tuple(a)) for name, a in changed.items()})
+        before = jax.tree.leaves([getattr(old, name) for name in sorted(changed)])
+        if leaves:
+            chosen = [jnp.where(used, a, b) for a, b in zip(leaves, before, strict=True)]
+            new = new._replace(**jax.tree.unflatten(tree, together(chosen)))
+    return new
 
 
 def _less_lumped(model, points, w, mass, before, after, time, dt):
     """Velocities whose increment has more of the inverse of the consistent mass, Σ_k (1 − M_L⁻¹ M)^k."""
     n = model.numerics
-    change = after - before
+    less = lambda a, b: [x - y for x, y in zip(a, b, strict=True)]  # noqa: E731
+    change = less(after, before)
     for _ in range(n.transfer.inverse - 1):
-        value = lambda v: to_points(n.shape, w, v, n.dimension)  # noqa: E731
-        at = carry.from_fields(n, points, value, after - before)
-        seen = carry.to_fields(n, points, lambda node: value_at(w, node) * points.mass * at)  # noqa: B023
-        after = _held(model, points, after + change - carry.velocity_of(mass, seen), time, dt)
+        at = carry.at_points(n, points, w, list(apart(less(after, before))))
+        bring = lambda node: [value_at(w, node) * points.mass * a for a in at]  # noqa: B023, E731
+        seen = carry.velocity_of(mass, carry.to_fields(n, points, bring))
+        after = [a + c - s for a, c, s in zip(after, change, seen, strict=True)]
+        after = _held(model, points, after, time, dt)
     return after
 
 
 def _held(model, points, velocity, time, dt):
     """Nodal velocities as walls and holds have them, ghosts continued."""
-    n = model.numerics
-    velocity = held(n, model.holds, points, velocity, time, dt)
-    return transfers.unfold(n.shape, velocity, points.window, n.cells)
+    velocity = held(model.numerics, model.holds, points, velocity, time, dt)
+    return carry.unfolded(model.numerics, points, velocity)
 
 
 def _accelerate(model, points, w, mass, before, time, dt):
     """Nodal velocities after the step; work of loads and supports, of damping and of contact, N·mm."""
     n = model.numerics
-    carries, safe = (each[:, None] for each in carry.heavy(mass))
-    per_mass = lambda force: jnp.where(carries, force / safe, 0.0)  # noqa: E731
+    carries, safe = carry.heavy(mass)
     internal = carry.internal_force(n, points, w)
-    push = internal + external_force(model, points, w, mass, time)
-    damping = model.damping * jnp.abs(push) * jnp.sign(before)
-    free = before + dt * per_mass(push - damping)
+    push = internal
+    if (external := external_force(model, points, w, mass, time)) is not None:
+        push = [a + b for a, b in zip(internal, external, strict=True)]
+    damping = None
+    if model.damping is not None:
+        damping = [model.damping * jnp.abs(p) * jnp.sign(v) for p, v in zip(push, before, strict=True)]
+        push = [p - each for p, each in zip(push, damping, strict=True)]
+    free = [v + dt * jnp.where(carries, p / safe, 0.0) for v, p in zip(before, push, strict=True)]
     rubbed = free
     if n.fields > 1:
-        rubbed = contact.rub(n, mass, carry.mass_arm(n, points, w), free, model.friction)
+        arm = jnp.stack(carry.mass_arm(n, points, w), 1)
+        rubbed = contact.rub(n, mass, arm, jnp.stack(free, 1), model.friction)
+        rubbed = [rubbed[:, a] for a in range(n.dimension)]
     after = _held(model, points, rubbed, time + dt, dt)
-    middle = jnp.where(carries, (before + after) / 2, 0.0)
-    by_contact = (mass[:, None] * (rubbed - free) * middle).sum()
-    by_damping = dt * (damping * middle).sum()
-    change = (mass[:, None] * (after - before) * middle).sum()
-    external = change - dt * (internal * middle).sum() + by_damping - by_contact
-    return after, (external, by_damping, -by_contact)
+    if damping is None and external is None and not model.holds and n.fields == 1:
+        return after, (jnp.zeros_like(mass, shape=()),) * 3  # nothing does work
+    return after, _works(mass, before, free, rubbed, after, internal, damping, dt)
+
+
+def _works(mass, before, free, rubbed, after, internal, damping, dt):
+    """Work of loads and supports, of damping and of contact, N·mm."""
+    carries, _ = carry.heavy(mass)
+    total = lambda parts: sum(parts).sum()  # noqa: E731
+    middle = [jnp.where(carries, (b + a) / 2, 0.0) for b, a in zip(before, after, strict=True)]
+    of = lambda a, b: total(mass * (y - x) * v for x, y, v in zip(a, b, middle, strict=True))  # noqa: E731
+    by_contact = of(free, rubbed)
+    by_damping = jnp.zeros_like(by_contact)
+    if damping is not None:
+        by_damping = dt * total(f * v for f, v in zip(damping, middle, strict=True))
+    stored = dt * total(f * v for f, v in zip(internal, middle, strict=True))
+    return of(before, after) - stored + by_damping - by_contact, by_damping, -by_contact
 
 
 def external_force(model, points, w, mass, time):
-    """Forces of gravity, of loads and of a body force, (fields, d, *nodes), N."""
+    """Forces of gravity, of loads and of a body force, N, or None without any."""
     n = model.numerics
-    force = mass[:, None] * model.gravity.reshape(n.dimension, *[1] * n.dimension)
-    pulls = 0.0
+    force, pulls = None, []
+    if model.gravity is not None:
+        force = [mass * g for g in model.gravity]
     for k, load in enumerate(model.forces):
         share = points.share[n.dimension * k : n.dimension * (k + 1)]
-        pulls = pulls + load.amplitude(time) * jnp.where(points.mass > 0, share, 0.0)  # not of free slots
+        used = points.mass > 0  # a free slot keeps the share of the point that has left it
+        pulls.append([load.amplitude(time) * jnp.where(used, each, 0.0) for each in share])
     if model.body is not None:
-        pulls = pulls + points.mass * model.body(points, time)
-    if jnp.ndim(pulls):
-        force = force + carry.to_fields(n, points, lambda node: value_at(w, node) * pulls)
+        pulls.append([points.mass * a for a in model.body(joined(points), time)])
+    if pulls:
+        whole = [sum(parts) for parts in zip(*pulls, strict=True)]
+        brought = carry.to_fields(n, points, lambda node: [value_at(w, node) * pull for pull in whole])
+        force = brought if force is None else [a + b for a, b in zip(force, brought, strict=True)]
     return force
 
 
-def _deform(model, points, pool, w, velocity, dt):
-    """Deformation and stress after a step of these nodal velocities."""
-    n, old = model.numerics, points.gradient
+def _deformed(n, points, w, velocity, dt):
+    """Points with the deformation after a step of these nodal velocities, not written yet."""
+    old, d = points.gradient, range(n.dimension)
     rate = carry.velocity_gradient(n, points, w, velocity)
+    change = times(rate, old)
+    gradient = Matrix([old[i, j] + dt * (rate[i, j] + change[i, j]) for j in d] for i in d)
     if n.transfer.kind == "taylor":  # as the points carry it to where they have gone
-        points = points._replace(affine=times(rate, inverse(plus_one(dt * rate))))
-    gradient = old + dt * (rate + times(rate, old))
-    stress = law_of(model, points).kirchhoff(gradient)
-    used = points.mass > 0
-    points = points._replace(
-        gradient=jnp.where(used, gradient, 0.0), stress=jnp.where(used, stress, 0.0)
-    )
+        advanced = inverse(plus_one(jax.tree.map(lambda a: dt * a, rate)))
+        points = points._replace(affine=times(rate, advanced))
+    return points._replace(gradient=gradient)
+
+
+def _with_stress(model, points):
+    """Points by components with the stress of their deformation, zero where a slot is free."""
+    stress = law_of(model, points).kirchhoff(points.gradient)
+    return points._replace(stress=tuple(jnp.where(points.mass > 0, s, 0.0) for s in stress))
+
+
+def stressed(model, points, pool):
+    """Points with their stress, the pool, and the place of a band that did not converge or -1."""
+    points = _with_stress(model, points)
     if model.cracking is None:
         return points, pool, jnp.full((), -1, jnp.int32)
+    points = points._replace(stress=tuple(together(points.stress)))
     return cracks.solve(model, points, pool)
 
 
 def law_of(model, points):
     """The law of every point; one for all where there is one material."""
-    own = lambda leaf: leaf[0] if leaf.shape == (1,) else leaf[points.material]  # noqa: E731
+
+    def own(leaf):
+        chosen = leaf[0]
+        for k in range(1, leaf.shape[0]):  # comparisons run faster than a gather
+            chosen = jnp.where(points.material == k, leaf[k], chosen)
+        return chosen
+
     return jax.tree.map(lambda leaf: own(leaf) if jnp.ndim(leaf) else leaf, model.law)
 
 

@@ -291,7 +291,7 @@ def cohesion(simulation):
 
 def _sets(layout, model):
     """What gauges read: offsets of those of displacement; of reactions, nodal weights for each hold."""
-    dtype = model.gravity.dtype
+    dtype = model.begin.dtype
     moved, reactions = {}, {}
     for gauge in layout.gauges:
         if gauge.kind != "reaction":

@@ -7,7 +7,7 @@ import numpy as np
 from jaxmpm import carry, cracks, holds, moving
 from jaxmpm.laws.finite import plus_one
 from jaxmpm.observe import Reading
-from jaxmpm.points import listed
+from jaxmpm.points import listed, separate
 
 
 @jax.jit
@@ -18,7 +18,7 @@ def read(model, state, dt, sets) -> Reading:
         model, state, dt: as of `moving.step`.
         sets: what gauges read, by name, see `Readings`.
     """
-    n, points = model.numerics, state.points
+    n, points = model.numerics, separate(state.points)
     time = model.begin + state.step * dt
     w = carry.weights(n, points)
     kinetic, stored, dissipated = moving.energies(model, points, state.pool)
@@ -62,7 +62,9 @@ def _gauges(model, points, w, time, sets):
     if reactions:
         force = carry.internal_force(model.numerics, points, w)
         mass = carry.mass_and_momentum(model.numerics, points, w, points.velocity)[0]
-        force = (force + moving.external_force(model, points, w, mass, time)).sum(0)
+        if (external := moving.external_force(model, points, w, mass, time)) is not None:
+            force = [a + b for a, b in zip(force, external, strict=True)]
+        force = jnp.stack(force).sum(1)
         for name, parts in reactions.items():
             total = 0.0
             for hold, weight in zip(model.holds, parts, strict=True):
@@ -75,8 +77,8 @@ def _gauges(model, points, w, time, sets):
     displacement = None
     for k, (name, offset) in enumerate(moved.items()):
         if displacement is None:
-            displacement = located(model, points) - points.home
-        share = points.share[2 * (first + k) : 2 * (first + k) + 2]
+            displacement = located(model, points) - jnp.stack(points.home)
+        share = jnp.stack(points.share[2 * (first + k) : 2 * (first + k) + 2])
         found[name] = jnp.where(points.mass > 0, share * displacement, 0.0).sum() + offset
     return found
 

@@ -6,7 +6,7 @@ as good far from the origin as near it. A slot without a point has no mass and n
 nothing.
 
 Bins cover a window of the grid, the part that holds points; `window` says where it begins. A
-point that leaves its bin is put into a free slot of the next one (`rebin`), the few that do by
+point that leaves its bin is put into a free slot of the next one (`rebinning`), the few that do by
 themselves. Where there is no free slot, or the next bin is outside the window, the point stays
 as it is and `Room` says so: the driver makes room before the next step. None is ever lost.
 """
@@ -16,10 +16,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 
-MOVERS = 256  # points that change bins together
-
+from jaxmpm.tensor import Matrix
 
 class Points(NamedTuple):
     """Points of a body or several; d is the dimension, bins the shape of the window."""
@@ -122,90 +120,29 @@ def listed(points, origin, cell, centred):
     return take(positions(points, origin, cell, centred)), fields
 
 
-# ------------------------------------------------------------------ changing bins
+# ------------------------------------------------------------------ points by components
 
 
-def rebin(points, address=None):
-    """Put points whose place has left their bin into the bin where they are.
+VECTORS = ("place", "velocity", "stress", "home", "share")
+MATRICES = ("gradient", "affine")
 
-    Args:
-        points: with places that may be outside [0, 1).
-        address: flat index over (slots, *bins) of the point of each band, kept up to date.
 
-    Returns:
-        (points, address, the `Room` there was not)
+def separate(points):
+    """Points whose vectors are tuples of components and whose matrices are `Matrix`, as a step has them.
+
+    A loop that needs one component then does not pass over the others, and a point that changes
+    bins is written into each array where it lies.
     """
-    address = jnp.zeros((0,), jnp.int32) if address is None else address
-    outside = ~((points.place >= 0) & (points.place < 1)).all(0) & (points.mass > 0)
-    full = jnp.zeros((), bool)
-    rest = Room(full, full, full)
-    stay = lambda points, address, _: (points, address, rest)  # noqa: E731
-    return lax.cond(outside.any(), _move_all, stay, points, address, outside)
+    parts = {name: tuple(getattr(points, name)) for name in VECTORS}
+    parts |= {name: Matrix(getattr(points, name)) for name in MATRICES}
+    return points._replace(**parts)
 
 
-def _move_all(points, address, outside):
-    """Move those outside in batches; each batch sees where the ones before it have gone."""
-    waiting = outside.reshape(-1)
-
-    def go(carry):
-        return carry[2].any()
-
-    def batch(carry):
-        points, address, waiting, room = carry
-        count = waiting.shape[0]
-        index = jnp.nonzero(waiting, size=min(MOVERS, count), fill_value=count)[0]
-        points, address, more = _move(points, address, index)
-        room = Room(*(a | b for a, b in zip(room, more, strict=True)))
-        return points, address, waiting.at[index].set(False, mode="drop"), room
-
-    no = jnp.zeros((), bool)
-    points, address, _, room = lax.while_loop(go, batch, (points, address, waiting, Room(no, no, no)))
-    return points, address, room
-
-
-def _move(points, address, index):
-    """Move the points with flat indices `index` over (slots, *bins), the number of all for none."""
-    bins, slots = bins_of(points), slots_of(points)
-    total = int(np.prod(bins))
-    meant = index < slots * total
-    flat = {name: _flat(getattr(points, name), bins) for name in PER_POINT}
-    taken = {name: a[:, jnp.minimum(index, slots * total - 1)] for name, a in flat.items()}
-    step = jnp.floor(taken["place"]).astype(jnp.int32)
-    here = jnp.unravel_index(jnp.minimum(index, slots * total - 1) % total, bins)
-    there = [h + s for h, s in zip(here, step, strict=True)]
-    inside = jnp.ones_like(meant)
-    for t, n in zip(there, bins, strict=True):
-        inside &= (t >= 0) & (t < n)
-    target = jnp.ravel_multi_index(there, bins, mode="clip")
-    # those that go to the same bin take its free slots one after the other
-    free = points.mass.reshape(slots, total)[:, target] == 0
-    wants = meant & inside
-    same = (target[:, None] == target[None, :]) & wants[None, :]
-    rank = jnp.tril(same, -1).sum(1)
-    nth = jnp.cumsum(free, 0) - 1
-    chosen = free & (nth == rank[None, :])
-    fits = wants & chosen.any(0)
-    end = slots * total
-    to = jnp.where(fits, chosen.argmax(0) * total + target, end)
-    moved = taken | {"place": _in_bin(taken["place"], step)}
-    new = {}
-    for name, a in flat.items():
-        if name in ("mass", "volume", "band"):
-            a = a.at[:, jnp.where(fits, index, end)].set(0, mode="drop")
-        new[name] = a.at[:, to].set(moved[name], mode="drop").reshape(getattr(points, name).shape)
-    band = jnp.where(fits & (taken["band"][0] > 0), taken["band"][0] - 1, address.shape[0])
-    address = address.at[band].set(to.astype(address.dtype), mode="drop")
-    far = (jnp.abs(step) > 1).any(0) | ~jnp.isfinite(taken["place"]).all(0)
-    room = Room((wants & ~fits).any(), (meant & ~inside).any(), (meant & far).any())
-    return points._replace(**new), address, room
-
-
-def _in_bin(place, step):
-    """Place in the next bin; kept from rounding up to 1."""
-    y = place - step.astype(place.dtype)
-    return jnp.minimum(y, 1 - jnp.finfo(y.dtype).epsneg)
-
-
-def _flat(field, bins):
-    """(k, slots · bins) of a field (..., slots, *bins)."""
-    return field.reshape(-1, field.shape[-1 - len(bins)] * int(np.prod(bins)))
+def joined(parts):
+    """`Points` of whole arrays again."""
+    none = jnp.zeros((0, *parts.mass.shape), parts.mass.dtype)
+    whole = {name: jnp.stack(getattr(parts, name)) if getattr(parts, name) else none for name in VECTORS}
+    for name in MATRICES:
+        rows = getattr(parts, name)
+        whole[name] = jnp.stack([jnp.stack(row) for row in rows]) if rows else none[None][:0]
+    return parts._replace(**whole)

@@ -35,6 +35,30 @@ IN_SPACE = {1: PAIRS[1], 2: PAIRS[3], 3: PAIRS[6]}  # the same by dimension, in-
 NORMALS = {1: 1, 3: 2, 4: 3, 6: 3}  # how many direct components come first
 
 
+@jax.tree_util.register_pytree_node_class
+class Matrix(tuple):
+    """Rows of components, read like an array (d, d, ...): stacking them would pass over memory once more."""
+
+    def __new__(cls, rows=()):
+        """Of rows, each an iterable of components."""
+        return super().__new__(cls, map(tuple, rows))
+
+    def __getitem__(self, at):
+        """A row, or the component [i, j]."""
+        row = tuple.__getitem__(self, at[0] if isinstance(at, tuple) else at)
+        return row[at[1]] if isinstance(at, tuple) else row
+
+    def tree_flatten(self):
+        """Components row by row."""
+        return [value for row in self for value in row], len(self)
+
+    @classmethod
+    def tree_unflatten(cls, size, values):
+        """Back from components."""
+        values = list(values)
+        return cls(values[i * size : (i + 1) * size] for i in range(size))
+
+
 def dot(a, b):
     """Sum of a[i] b[i] over the first axis, unrolled: vectors here are short, batches long."""
     return sum(a[i] * b[i] for i in range(1, len(a))) + a[0] * b[0]

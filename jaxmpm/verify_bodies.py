@@ -78,7 +78,7 @@ def _drift(shape, walls="slip", steps=200):
     used = points.mass > 0
     stretch = jnp.array([[0.1, 0.0], [0.0, -0.2]]).reshape(2, 2, 1, 1, 1)
     gradient = jnp.where(used, stretch, points.gradient)
-    stress = jnp.where(used, law.kirchhoff(stretch), 0.0)
+    stress = jnp.where(used, jnp.stack(law.kirchhoff(stretch)), 0.0)
     model = Model(law, jnp.zeros(2), numerics)
     points = points._replace(gradient=gradient, stress=stress)
     x, fields = points_of(model, forward(model, first_state(points), 0.02, steps))

@@ -8,10 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmpm import cracks, moving
-from jaxmpm.laws.finite import plus_one, times
+from jaxmpm import moving
 from jaxmpm.moving_simulation import MovingSimulation
-from jaxmpm.points import listed
+from jaxmpm.points import joined, listed, separate
 from jaxmpm.scene import Scene, load_scene
 from jaxmpm.simulation import Simulation
 from jaxmpm.verify_points import row
@@ -50,8 +49,8 @@ def turned() -> Iterator[dict]:
         c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
         turn = jnp.array([[c, -s], [s, c]])
         points = state.points
-        whole = times(turn.reshape(2, 2, *[1] * points.mass.ndim), plus_one(points.gradient))
         one = jnp.eye(2).reshape(2, 2, *[1] * points.mass.ndim)
+        whole = jnp.einsum("ij,jk...->ik...", turn, points.gradient + one)
         points = points._replace(gradient=jnp.where(points.mass > 0, whole - one, 0.0))
         now = _stressed(model, state._replace(points=points))
         xx, yy, xy = state.points.stress
@@ -68,10 +67,8 @@ def turned() -> Iterator[dict]:
 
 @jax.jit
 def _stressed(model, state):
-    points = state.points
-    points = points._replace(stress=moving.law_of(model, points).kirchhoff(points.gradient))
-    points, pool, failed = cracks.solve(model, points, state.pool)
-    return state._replace(points=points, pool=pool, failed=failed)
+    points, pool, failed = moving.stressed(model, separate(state.points), state.pool)
+    return state._replace(points=joined(points), pool=pool, failed=failed)
 
 
 def _energies(model, state):

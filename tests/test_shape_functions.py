@@ -52,7 +52,7 @@ def test_edge_has_the_value_of_its_node_and_linear_fields_are_exact_up_to_it(sha
     whole = transfer.unfold(shape, field, window, cells)
     place = jnp.full((1, 1, bins), 0.5 if shape.centred else 0.0)
     w = transfer.weights(shape, place, 1.0)
-    at_edge = transfer.to_points(shape, w, whole, 1)[0, 0]
+    at_edge = transfer.to_points(shape, w, [whole])[0][0, 0]
     if not isinstance(shape, Gimp):  # whose points have a width, and reach over the edge
         assert float(at_edge) == pytest.approx(float(field[shape.lead]), abs=1e-14)
     line = transfer.unfold(shape, jnp.asarray(np.where(inside, 2.0 + 3 * number, 0.0)), window, cells)

@@ -19,7 +19,7 @@ def balance(case, home, time, law, density):
 
     def first(x):  # P = τ F⁻ᵀ
         f = jax.jacfwd(move)(x, time)
-        tau = law.kirchhoff(f - jnp.eye(len(x)))
+        tau = jnp.stack(law.kirchhoff(f - jnp.eye(len(x))))
         full = tau[:, None] if len(x) == 1 else jnp.array([[tau[0], tau[2]], [tau[2], tau[1]]])
         return full @ jnp.linalg.inv(f).T
 

@@ -1,48 +1,51 @@
 """Hyperelastic laws for motion of any size, in total form.
 
 They take the displacement gradient H = F − I: next to one, a strain of 1e-4 would keep three digits
-in single precision. `Corotated` is the small-strain law in a frame that turns with the material:
+in single precision. It is an array (d, d, ...) or a `Matrix`; vectors come back as lists of components. `Corotated` is the small-strain law in a frame that turns with the material:
 F = R U, the strain is U − I. `NeoHookean` is for large strains. Kirchhoff stress τ = J σ, in-plane
 components.
 """
 
 from dataclasses import field
 
+import jax
 import jax.numpy as jnp
 
 from jaxmpm import tensor
 from jaxmpm.laws.elastic import Elastic
 from jaxmpm.laws.law import law
+from jaxmpm.tensor import Matrix
 
 ITERATIONS = 6  # of Higham's method
 
 
 def plus_one(gradient):
-    """F = I + H, (d, d, ...)."""
+    """F = I + H."""
     d = range(len(gradient))
-    return jnp.stack([jnp.stack([gradient[i, j] + (i == j) for j in d]) for i in d])
+    return Matrix([gradient[i, j] + (i == j) for j in d] for i in d)
 
 
 def rotation(gradient):
-    """Rotation R (d, d) of the polar decomposition I + H = R U; in closed form up to two dimensions."""
+    """Rotation R of the polar decomposition I + H = R U; in closed form up to two dimensions."""
     h = gradient
     if len(h) == 1:
-        return jnp.ones_like(h)
+        return Matrix([[jnp.ones_like(h[0, 0])]])
     if len(h) == 2:
         return turned(2 + h[0, 0] + h[1, 1], h[1, 0] - h[0, 1])
     f = plus_one(h)
     for _ in range(ITERATIONS):  # Higham (1986): R ← (R + R⁻ᵀ)/2, quadratic
-        f = (f + _cofactor(f) / _determinant(f)) / 2
+        other, size = _cofactor(f), _determinant(f)
+        f = jax.tree.map(lambda a, b: (a + b / size) / 2, f, other)  # noqa: B023
     return f
 
 
 def turned(cosine, sine):
-    """Rotation (2, 2) by the angle of a vector (cosine, sine) of any length; none where that is zero."""
+    """Rotation by the angle of a vector (cosine, sine) of any length; none where that is zero."""
     size = tensor.norm([cosine, sine])
     none = size == 0
     c = jnp.where(none, 1.0, cosine / jnp.where(none, 1.0, size))
     s = jnp.where(none, 0.0, sine / jnp.where(none, 1.0, size))
-    return jnp.stack([jnp.stack([c, -s]), jnp.stack([s, c])])
+    return Matrix([[c, -s], [s, c]])
 
 
 def strain_in(turn, gradient):
@@ -57,7 +60,7 @@ def strain_in(turn, gradient):
         small = c > 0
         less = [jnp.where(small, -s * s / jnp.where(small, 1 + c, 1.0), c - 1)] * 2 + [0.0]
     twice = [1.0] * d + [2.0] * (len(inner) - d)
-    return jnp.stack([f * (s + o) for f, s, o in zip(twice, inner, less, strict=True)])
+    return [f * (s + o) for f, s, o in zip(twice, inner, less, strict=True)]
 
 
 def turned_stress(turn, stress, gradient):
@@ -67,7 +70,7 @@ def turned_stress(turn, stress, gradient):
 
 
 def _cofactor(f):
-    return jnp.stack([tensor.cross(f[1], f[2]), tensor.cross(f[2], f[0]), tensor.cross(f[0], f[1])])
+    return Matrix([tensor.cross(f[1], f[2]), tensor.cross(f[2], f[0]), tensor.cross(f[0], f[1])])
 
 
 def _determinant(f):
@@ -91,37 +94,38 @@ def volume_change(gradient):
 
 
 def inverse(a):
-    """a⁻¹ of (d, d, ...)."""
+    """a⁻¹."""
     d = len(a)
     if d == 1:
-        return 1 / a
+        return Matrix([[1 / a[0, 0]]])
     if d == 2:
-        adjoint = jnp.stack([jnp.stack([a[1, 1], -a[0, 1]]), jnp.stack([-a[1, 0], a[0, 0]])])
+        adjoint = Matrix([[a[1, 1], -a[0, 1]], [-a[1, 0], a[0, 0]]])
     else:
         adjoint = _transposed(_cofactor(a))
-    return adjoint / _determinant(a)
+    size = _determinant(a)
+    return jax.tree.map(lambda each: each / size, adjoint)
 
 
 def times(a, b):
-    """a · b of (d, d, ...)."""
+    """a · b."""
     d = range(len(a))
-    return jnp.stack([jnp.stack([sum(a[i, k] * b[k, j] for k in d) for j in d]) for i in d])
+    return Matrix([sum(a[i, k] * b[k, j] for k in d) for j in d] for i in d)
 
 
 def _transposed(a):
-    return jnp.swapaxes(a, 0, 1)
+    return Matrix(zip(*a, strict=True))
 
 
 def _symmetric(matrix):
     """In-plane components of the symmetric part."""
-    return jnp.stack([(matrix[i, j] + matrix[j, i]) / 2 for i, j in tensor.IN_SPACE[len(matrix)]])
+    return [(matrix[i, j] + matrix[j, i]) / 2 for i, j in tensor.IN_SPACE[len(matrix)]]
 
 
 def _matrix(vector, d):
     table = {}
     for value, (i, j) in zip(vector, tensor.IN_SPACE[d], strict=True):
         table[i, j] = table[j, i] = value
-    return jnp.stack([jnp.stack([table[i, j] for j in range(d)]) for i in range(d)])
+    return Matrix([table[i, j] for j in range(d)] for i in range(d))
 
 
 @law
@@ -136,12 +140,12 @@ class Corotated:
         """Stress of in-plane strains, engineering shear."""
         d = {1: 1, 3: 2, 6: 3}[len(strain)]
         if d == 1:
-            return self.E * strain
+            return [self.E * strain[0]]
         size = 3 if d == 2 and self.plane_stress else 6
         direct, cross, shear = Elastic(self.E, self.nu).coefficients(size)
         trace = sum(strain[i] for i in range(d))
         parts = [cross * trace + (direct - cross) * strain[i] for i in range(d)]
-        return jnp.stack(parts + [shear * strain[i] for i in range(d, len(strain))])
+        return parts + [shear * strain[i] for i in range(d, len(strain))]
 
     def kirchhoff(self, gradient):
         """τ = R S U Rᵀ with S = C : (U − I), in-plane components, MPa."""
@@ -171,9 +175,9 @@ class NeoHookean:
         lame, shear = self._lame
         d = len(gradient)
         square = _symmetric(times(gradient, _transposed(gradient)))
-        left = 2 * _symmetric(gradient) + square  # b − I
+        left = [2 * h + b for h, b in zip(_symmetric(gradient), square, strict=True)]  # b − I
         volumetric = lame * jnp.log1p(volume_change(gradient))
-        return jnp.stack([shear * b + (volumetric if k < d else 0.0) for k, b in enumerate(left)])
+        return [shear * b + (volumetric if k < d else 0.0) for k, b in enumerate(left)]
 
     def energy(self, gradient):
         """Stored energy per undeformed volume, N/mm²."""

@@ -11,7 +11,8 @@ from jaxmpm.compilation import compiled
 from jaxmpm.laws.damage import Damage
 from jaxmpm.laws.elastic import Elastic
 from jaxmpm.laws.law import law
-from jaxmpm.points import in_bins, listed, rebin
+from jaxmpm.points import in_bins, listed
+from jaxmpm.rebinning import rebin
 from jaxmpm.shape_functions import Linear
 
 PLANE_STRESS, PLANE_STRAIN = 3, 4  # lengths of a strain vector
@@ -24,11 +25,11 @@ class SmallStrain:
     bulk: Elastic
 
     def kirchhoff(self, gradient):
-        """In-plane stress xx, yy, xy, MPa."""
+        """In-plane stress xx, yy, xy, a list, MPa."""
         direct, cross, shear = self.bulk.coefficients(PLANE_STRAIN)
         xx, yy = gradient[0, 0], gradient[1, 1]
         across = shear * (gradient[0, 1] + gradient[1, 0])
-        return jnp.stack([direct * xx + cross * yy, cross * xx + direct * yy, across])
+        return [direct * xx + cross * yy, cross * xx + direct * yy, across]
 
 
 def points(scene, dtype):
@@ -89,7 +90,7 @@ def _with_slots(state, slots):
         return state
     pad = lambda a: jnp.pad(a, [(0, 0)] * (a.ndim - 3) + [(0, more), (0, 0), (0, 0)])  # noqa: E731
     fields = {k: pad(a) for k, a in state.points._asdict().items() if k != "window"}
-    points, room = jax.jit(rebin)(state.points._replace(**fields))  # those that found no room
+    points, _, room = jax.jit(rebin)(state.points._replace(**fields))  # those that found no room
     return state._replace(points=points, room=room)
 
 
@@ -105,7 +106,7 @@ def total_runner(scene, dtype):
     elastic = Elastic(one(scene.young / (1 - scene.poisson**2)), one(nu))
     embedding = Embedding(elastic, Damage(*map(one, (1.0, 1.0, 1.0, 1.0))))
     model = total_model.Model(
-        embedding, one(scene.density), jnp.zeros((), dtype), jnp.zeros((cells, cells), jnp.int32),
+        embedding, one(scene.density), jnp.zeros((), dtype), jnp.zeros(2, dtype), jnp.zeros((cells, cells), jnp.int32),
         jnp.asarray(free, dtype), (), (), {},
         total_model.Numerics(size, 1.0, PLANE_STRESS, "fixed", 1, False),
     )  # fmt: skip
@@ -133,7 +134,7 @@ _programs = {}
 
 def _program(advance, model, state, dt):
     """A loop over steps as the project compiles it."""
-    key = (advance, jax.tree.structure((model, state)), *(a.shape + (a.dtype,) for a in jax.tree.leaves((model, state))))
+    key = (advance, jax.tree.structure((model, state)), *((jnp.shape(a), jnp.result_type(a)) for a in jax.tree.leaves((model, state))))
     if key not in _programs:
         _programs[key] = compiled(advance.lower(model, state, dt, state.step))
     return _programs[key]
