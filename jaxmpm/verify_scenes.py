@@ -15,6 +15,7 @@ from jaxmpm.scene import Scene, load_scene
 from jaxmpm.simulation import Simulation
 from jaxmpm.verify_points import row
 
+ANGLES = (30.0, 135.0, 260.0)
 STEPS = 100_000  # of the box of debris
 
 
@@ -38,14 +39,17 @@ def frames(cell=5.0) -> Iterator[dict]:
         yield row(f"energy balance, den {cell:g} mm, {name}", found["largest_energy_error"], 0.0, 2e-3)
 
 
-def turned() -> Iterator[dict]:
-    """A cracked plate that is turned as a whole: stresses turn with it, nothing else changes."""
-    sim = Simulation.of(load_scene("den", ["grid.cell=5"]))
-    sim.advance(int(0.35 * sim.steps))
+def turned(scene=None, share=0.35) -> Iterator[dict]:
+    """A cracked plate that is turned as a whole: stresses turn with it, nothing else changes.
+
+    A `scene` (the double-edge-notched plate if None) after a `share` of its duration.
+    """
+    sim = Simulation.of(scene or load_scene("den", ["grid.cell=5"]))
+    sim.advance(int(share * sim.steps))
     sim = MovingSimulation.of(sim)
     model, state = sim.model, _stressed(sim.model, sim.state)
     before = _energies(model, state)
-    for degrees in (30.0, 135.0, 260.0):
+    for degrees in ANGLES:
         c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
         turn = jnp.array([[c, -s], [s, c]])
         points = state.points

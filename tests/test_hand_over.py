@@ -10,6 +10,7 @@ from jaxmpm.fragments import fragments
 from jaxmpm.hand_over import turned_gradient
 from jaxmpm.laws.finite import rotation, strain_in
 from jaxmpm.run import run_scene
+from jaxmpm.verify_scenes import turned
 
 
 @pytest.fixture(scope="module")
@@ -110,3 +111,8 @@ def test_fragments_are_what_hangs_together():
     assert number[0, 1] == number[0, 2] != number[2, 2]
     assert number[2, 3] != number[9, 3] and number[6, 3] == number[9, 3]
     assert len(np.unique(number[:, 0])) == 1 and number[3, 0] not in (number[2, 3], number[9, 3])
+
+
+def test_a_cracked_body_that_is_turned_changes_nothing_but_its_direction():
+    rows = list(turned(notched(), 0.6))
+    assert len(rows) == 6 and all(row["passed"] for row in rows)

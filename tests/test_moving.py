@@ -210,3 +210,22 @@ def test_edges_of_the_grid_hold_points_or_ask_for_room(walls, inside):
         assert fields["velocity"][0].mean() == pytest.approx(0.3, rel=1e-6)
 
 
+
+
+@pytest.mark.parametrize("shape", [Linear(), Quadratic()], ids=str)
+def test_a_bar_in_three_dimensions_moves_as_in_one(shape):
+    """Without Poisson's effect; it flies through cells as well."""
+    law = Corotated(jnp.array([1.0]), jnp.array([0.0]))
+    found = []
+    for d in (1, 3):
+        start = lambda x: np.stack([*[0 * x[0]] * (d - 1), 0.1 + 1e-2 * np.cos(np.pi * (x[-1] - 2) / 8)])  # noqa: B023
+        low, high = (*[2] * (d - 1), 2), (*[4] * (d - 1), 10)
+        points = body(shape, (*[6] * (d - 1), 16), 1.0, low, high, start)
+        model = Model(law, jnp.zeros(d), Numerics(1.0, (*[6] * (d - 1), 16), shape))
+        _, x, fields = run(model, points, 0.1, 60)
+        line = np.isclose(fields["home"][0], 2.25) if d == 3 else x[0] > 0
+        line &= np.isclose(fields["home"][-2], 2.25) if d == 3 else line
+        found.append((x[-1] - fields["home"][-1])[line][np.argsort(fields["home"][-1][line])])
+        assert np.abs(x[:-1] - fields["home"][:-1]).max(initial=0.0) < 1e-12
+    np.testing.assert_allclose(found[1], found[0], atol=1e-12)
+    assert np.ptp(found[0]) > 5e-3

@@ -95,7 +95,7 @@ def _over_points(dtype):
 
 def _scatter(dtype):
     """Mass, momentum and force of a point to its four nodes."""
-    one, half = dtype(1), dtype(0.5)
+    one = dtype(1)
 
     @njit(fastmath=True, inline="always")
     def scatter(points, p, grid, c):
