@@ -13,7 +13,6 @@ from itertools import product
 from operator import add
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jax import lax
 
