@@ -19,18 +19,18 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from jaxmpm import carry, contact, cracks
+from jaxmpm import carry, cracks, nodal
 from jaxmpm.bands import Pool
 from jaxmpm.explicit import needs_room
-from jaxmpm.holds import held
 from jaxmpm.laws.finite import inverse, plus_one, times
 from jaxmpm.model import Ledger
-from jaxmpm.points import MATRICES, VECTORS, Points, Room, joined, separate
+from jaxmpm.points import MATRICES, Points, Room, joined, separate
 from jaxmpm.rebinning import rebin_parts
 from jaxmpm.tensor import Matrix
-from jaxmpm.transfer import apart, together, value_at
+from jaxmpm.transfer import apart, together
 
 FEW = 8  # results of one loop over points
+CHANGES = ("place", "velocity", *MATRICES)  # in every step
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class Numerics:
 class Model:
     """What moves, and how."""
 
-    law: Any  # a hyperelastic law: kirchhoff(H) and energy(H), leaves (materials,)
+    law: Any  # a hyperelastic law: kirchhoff(H), a list, and energy(H), leaves (materials,)
     gravity: jax.Array | None  # (d,), mm/s²
     numerics: Numerics = field(metadata={"static": True})
     body: Any = field(default=None, metadata={"static": True})  # acceleration(points, time), mm/s²
@@ -154,7 +154,7 @@ def _whole(model, state):
 
 
 def _step(model, state, dt, on=True):
-    """The state, points by components, after one step; the same but for round-off where not `on`.
+    """The state, points by components, after one step; the same where not `on`.
 
     Without bands the stress is not kept: it follows from the deformation wherever it is needed.
     """
@@ -162,14 +162,14 @@ def _step(model, state, dt, on=True):
     time = model.begin + state.step * dt
     w = carry.weights(n, points)
     mass, momentum = carry.mass_and_momentum(n, points, w, points.velocity)
-    before = _held(model, points, carry.velocity_of(mass, momentum), time, dt)
+    before = nodal.held(model, points, carry.velocity_of(mass, momentum), time, dt)
     if n.order == "usf":
         points = _written(_deformed(n, points, w, before, dt), points, on)
         points, pool, failed = stressed(model, points, pool)
     elif model.cracking is None:
         points = _with_stress(model, points)
-    after, ledger = _accelerate(model, points, w, mass, before, time, dt)
-    after = _less_lumped(model, points, w, mass, before, after, time + dt, dt)
+    after, ledger = nodal.accelerated(model, points, w, mass, before, time, dt)
+    after = nodal.less_lumped(model, points, w, mass, before, after, time + dt, dt)
     both = apart([*after, *(a - b for a, b in zip(after, before, strict=True))])
     after, change = list(both[: n.dimension]), list(both[n.dimension :])
     moved = carry.moved(n, points, w, before, after, change, mass, dt)
@@ -178,7 +178,7 @@ def _step(model, state, dt, on=True):
     moved = _written(moved, points, on)
     if n.order == "musl":
         again = carry.mass_and_momentum(n, moved, w, moved.velocity)[1]
-        again = apart(_held(model, points, carry.velocity_of(mass, again), time + dt, dt))
+        again = apart(nodal.held(model, points, carry.velocity_of(mass, again), time + dt, dt))
         moved = _written(_deformed(n, moved, w, list(again), dt), moved, on)
     if n.order != "usf":
         moved, pool, failed = stressed(model, moved, pool)
@@ -195,102 +195,23 @@ def _next(model, state, points, pool, failed, ledger, on):
     pool = None if pool is None else pool._replace(cell=address)
     external, damping, rubbed = (jnp.where(on, part, 0.0) for part in ledger)
     work = state.work._replace(external=state.work.external + external, damping=state.work.damping + damping)
-    room = Room(*(a | b for a, b in zip(state.room, room, strict=True)))
+    room = Room(*(jnp.where(on, new, old) for new, old in zip(room, state.room, strict=True)))
     return State(points, state.step + on, room, pool, failed, work, state.rubbed + rubbed)
 
 
 def _written(new, old, on):
-    """Points written to memory, in few loops; `old` ones where not `on` or where a slot is free."""
+    """Points written to memory, in few loops; the `old` ones where not `on` or where a slot is free."""
     used = (new.mass > 0) & on
-    names = [[*VECTORS[:2], *MATRICES]]
-    size = lambda some: sum(len(jax.tree.leaves(getattr(new, name))) for name in some)  # noqa: E731
-    if size(names[0]) > FEW:
-        names = [VECTORS[:2], MATRICES]
-    for some in names:
-        changed = {name: getattr(new, name) for name in some if getattr(new, name) is not getattr(old, name)}
-        leaves, tree = jax.tree.flatten({name: (a if isinstance(a, Matrix) else tuple(a)) for name, a in changed.items()})
-        before = jax.tree.leaves([getattr(old, name) for name in sorted(changed)])
-        if leaves:
-            chosen = [jnp.where(used, a, b) for a, b in zip(leaves, before, strict=True)]
-            new = new._replace(**jax.tree.unflatten(tree, together(chosen)))
+    changed = [name for name in CHANGES if getattr(new, name) is not getattr(old, name)]
+    groups = [changed]
+    if len(jax.tree.leaves([getattr(new, name) for name in changed])) > FEW:
+        groups = [[name for name in changed if (name in MATRICES) is which] for which in (False, True)]
+    for group in filter(None, groups):
+        before, tree = jax.tree.flatten([getattr(old, name) for name in group])
+        after = jax.tree.leaves([getattr(new, name) for name in group])
+        made = together([jnp.where(used, a, b) for a, b in zip(after, before, strict=True)])
+        new = new._replace(**dict(zip(group, jax.tree.unflatten(tree, made), strict=True)))
     return new
-
-
-def _less_lumped(model, points, w, mass, before, after, time, dt):
-    """Velocities whose increment has more of the inverse of the consistent mass, Σ_k (1 − M_L⁻¹ M)^k."""
-    n = model.numerics
-    less = lambda a, b: [x - y for x, y in zip(a, b, strict=True)]  # noqa: E731
-    change = less(after, before)
-    for _ in range(n.transfer.inverse - 1):
-        at = carry.at_points(n, points, w, list(apart(less(after, before))))
-        bring = lambda node: [value_at(w, node) * points.mass * a for a in at]  # noqa: B023, E731
-        seen = carry.velocity_of(mass, carry.to_fields(n, points, bring))
-        after = [a + c - s for a, c, s in zip(after, change, seen, strict=True)]
-        after = _held(model, points, after, time, dt)
-    return after
-
-
-def _held(model, points, velocity, time, dt):
-    """Nodal velocities as walls and holds have them, ghosts continued."""
-    velocity = held(model.numerics, model.holds, points, velocity, time, dt)
-    return carry.unfolded(model.numerics, points, velocity)
-
-
-def _accelerate(model, points, w, mass, before, time, dt):
-    """Nodal velocities after the step; work of loads and supports, of damping and of contact, N·mm."""
-    n = model.numerics
-    carries, safe = carry.heavy(mass)
-    internal = carry.internal_force(n, points, w)
-    push = internal
-    if (external := external_force(model, points, w, mass, time)) is not None:
-        push = [a + b for a, b in zip(internal, external, strict=True)]
-    damping = None
-    if model.damping is not None:
-        damping = [model.damping * jnp.abs(p) * jnp.sign(v) for p, v in zip(push, before, strict=True)]
-        push = [p - each for p, each in zip(push, damping, strict=True)]
-    free = [v + dt * jnp.where(carries, p / safe, 0.0) for v, p in zip(before, push, strict=True)]
-    rubbed = free
-    if n.fields > 1:
-        arm = jnp.stack(carry.mass_arm(n, points, w), 1)
-        rubbed = contact.rub(n, mass, arm, jnp.stack(free, 1), model.friction)
-        rubbed = [rubbed[:, a] for a in range(n.dimension)]
-    after = _held(model, points, rubbed, time + dt, dt)
-    if damping is None and external is None and not model.holds and n.fields == 1:
-        return after, (jnp.zeros_like(mass, shape=()),) * 3  # nothing does work
-    return after, _works(mass, before, free, rubbed, after, internal, damping, dt)
-
-
-def _works(mass, before, free, rubbed, after, internal, damping, dt):
-    """Work of loads and supports, of damping and of contact, N·mm."""
-    carries, _ = carry.heavy(mass)
-    total = lambda parts: sum(parts).sum()  # noqa: E731
-    middle = [jnp.where(carries, (b + a) / 2, 0.0) for b, a in zip(before, after, strict=True)]
-    of = lambda a, b: total(mass * (y - x) * v for x, y, v in zip(a, b, middle, strict=True))  # noqa: E731
-    by_contact = of(free, rubbed)
-    by_damping = jnp.zeros_like(by_contact)
-    if damping is not None:
-        by_damping = dt * total(f * v for f, v in zip(damping, middle, strict=True))
-    stored = dt * total(f * v for f, v in zip(internal, middle, strict=True))
-    return of(before, after) - stored + by_damping - by_contact, by_damping, -by_contact
-
-
-def external_force(model, points, w, mass, time):
-    """Forces of gravity, of loads and of a body force, N, or None without any."""
-    n = model.numerics
-    force, pulls = None, []
-    if model.gravity is not None:
-        force = [mass * g for g in model.gravity]
-    for k, load in enumerate(model.forces):
-        share = points.share[n.dimension * k : n.dimension * (k + 1)]
-        used = points.mass > 0  # a free slot keeps the share of the point that has left it
-        pulls.append([load.amplitude(time) * jnp.where(used, each, 0.0) for each in share])
-    if model.body is not None:
-        pulls.append([points.mass * a for a in model.body(joined(points), time)])
-    if pulls:
-        whole = [sum(parts) for parts in zip(*pulls, strict=True)]
-        brought = carry.to_fields(n, points, lambda node: [value_at(w, node) * pull for pull in whole])
-        force = brought if force is None else [a + b for a, b in zip(force, brought, strict=True)]
-    return force
 
 
 def _deformed(n, points, w, velocity, dt):

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmpm import carry, cracks, holds, moving
+from jaxmpm import carry, cracks, holds, moving, nodal
 from jaxmpm.laws.finite import plus_one
 from jaxmpm.observe import Reading
 from jaxmpm.points import listed, separate
@@ -62,7 +62,7 @@ def _gauges(model, points, w, time, sets):
     if reactions:
         force = carry.internal_force(model.numerics, points, w)
         mass = carry.mass_and_momentum(model.numerics, points, w, points.velocity)[0]
-        if (external := moving.external_force(model, points, w, mass, time)) is not None:
+        if (external := nodal.external_force(model, points, w, mass, time)) is not None:
             force = [a + b for a, b in zip(force, external, strict=True)]
         force = jnp.stack(force).sum(1)
         for name, parts in reactions.items():
