@@ -26,6 +26,10 @@ def fragments(owner, cohesion):
     sizes[0] = 0
     order = np.argsort(-sizes, kind="stable")[: min(count, MOST)]
     kept = [k for k in order if sizes[k] >= LEAST * (owner >= 0).sum()]
+    for body in np.unique(owner[owner >= 0]):  # each body has a field of its own, however small
+        own = np.unique(label[(owner == body) & (label > 0)])
+        if len(own) and not set(own) & set(kept):
+            kept.append(own[np.argmax(sizes[own])])
     rank = np.full(count + 1, -1)
     rank[kept] = np.arange(len(kept))
     number = rank[label]

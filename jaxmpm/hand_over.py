@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxmpm import bands, cracks, moving, points as points_of, shape_functions
+from jaxmpm.errors import RunError
 from jaxmpm.fill import owners
 from jaxmpm.holds import Hold
 from jaxmpm.laws.finite import Corotated, NeoHookean
@@ -262,6 +263,7 @@ def to_points(scene, layout, model, state, time, fields=1, body_of=None):
     if new.numerics.affine:
         still = np.zeros((2, 2, len(mass)))
         lists["affine"] = still if begins else nodal.gradient(velocity)
+    _check_inside(layout, home + nodal.at(displacement), time)
     binned = binned_points(new.numerics, layout.origin, home + nodal.at(displacement), lists)
     pool = None
     if new.cracking is not None:
@@ -271,6 +273,19 @@ def to_points(scene, layout, model, state, time, fields=1, body_of=None):
     if begins:
         work = work._replace(initial=moving.energies(new, settled.points, settled.pool)[0])
     return new, settled._replace(work=work)
+
+
+def _check_inside(layout, position, time):
+    """Raise RunError where a point has left the grid in the total frame."""
+    low = np.reshape(layout.origin, (2, 1))
+    high = low + layout.cell * np.reshape(layout.shape, (2, 1))
+    outside = ((position < low) | (position > high)).any(0)
+    if outside.any():
+        x, y = position[:, np.argmax(outside)]
+        raise RunError(
+            f"the point at ({x:.6g}, {y:.6g}) mm is outside the grid at t = {time:.6g} s, where the total frame "
+            'hands over: use a larger grid, or solver.frame = "updated"'
+        )
 
 
 @jax.jit

@@ -164,13 +164,25 @@ class _Work:
 
     def held(self) -> np.ndarray:
         """Dofs of the supports."""
-        everything = [np.empty(0, np.int64)]
+        everything = [np.empty(0, np.int64), self.at_walls()]
         for i, support in enumerate(self.scene.supports):
             parts = [self.along(self.sets[support.set], axis)[0] for axis in support.fix]
             dofs = np.unique(np.concatenate(parts))
             self.acting.append((("supports", i), "hold", dofs))
             everything.append(dofs)
         return np.unique(np.concatenate(everything))
+
+    def at_walls(self) -> np.ndarray:
+        """Dofs of the nodes at slip and stick walls that no displacement moves."""
+        nx, ny = (k - 1 for k in self.touching.shape)
+        i, j = np.indices(self.touching.shape)
+        found = [np.empty(0, np.int64)]
+        for side, there, across in (("left", i == 0, 0), ("right", i == nx, 0), ("bottom", j == 0, 1), ("top", j == ny, 1)):
+            kind = getattr(self.scene.grid.walls, side)
+            for component in {"slip": (across,), "stick": (0, 1)}.get(kind, ()):
+                found.append(component * self.nodes + np.flatnonzero(there & (self.touching > 0)))
+        moved = [self.along(self.sets[load.set], load.direction, both=True)[0] for load in self.scene.displacements]
+        return np.setdiff1d(np.concatenate(found), np.concatenate([np.empty(0, np.int64), *moved]))
 
     def displacements(self) -> tuple[Drive, ...]:
         """The prescribed displacements."""

@@ -187,11 +187,28 @@ def _step(model, state, dt, on=True):
     return _next(model, state, moved, pool, failed, ledger, on)
 
 
+def _beyond_open_edges(n, points):
+    """Whether a point is past an edge that lets it go; bins around the nodes there reach beyond it."""
+    found = jnp.zeros((), bool)
+    for axis, sides in enumerate(n.walls):
+        count = points.mass.shape[1 + axis]
+        for side, row, past in zip(sides, (0, count - 1), (jnp.less, jnp.greater), strict=True):
+            if side != "open":
+                continue
+            y, mass = (lax.index_in_dim(a, row, 1 + axis) for a in (points.place[axis], points.mass))
+            at_edge = points.window[axis] + row == (0 if row == 0 else n.cells[axis])
+            found |= at_edge & (past(y, 0.5) & (mass > 0)).any()
+    return found
+
+
 def _next(model, state, points, pool, failed, ledger, on):
     """The state of points that have moved."""
+    n = model.numerics
     if model.cracking is None:
         points = points._replace(stress=())
     points, address, room = rebin_parts(points, None if pool is None else pool.cell)
+    if n.shape.centred:
+        room = room._replace(window=room.window | _beyond_open_edges(n, points))
     pool = None if pool is None else pool._replace(cell=address)
     external, damping, rubbed = (jnp.where(on, part, 0.0) for part in ledger)
     work = state.work._replace(external=state.work.external + external, damping=state.work.damping + damping)

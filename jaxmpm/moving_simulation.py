@@ -33,6 +33,7 @@ class MovingSimulation:
     stable_dt: float  # s
     begin: float  # time of step 0, s
     steps: int  # from there to the end
+    steps_before: int = 0  # in the total frame
     left: dict = field(default_factory=lambda: {"points": 0, "mass": 0.0, "energy": 0.0})
     compile_seconds: float = 0.0
     run_seconds: float = 0.0
@@ -52,7 +53,7 @@ class MovingSimulation:
         steps = max(1, int(np.ceil(left / (stable * scene.solver.time_step_factor))))
         sim = cls(
             scene, layout, simulation.model, model, state, _sets(layout, model), left / steps,
-            stable, begin, steps, run_seconds=simulation.run_seconds,
+            stable, begin, steps, int(simulation.state.step), run_seconds=simulation.run_seconds,
             compile_seconds=simulation.compile_seconds,
         )  # fmt: skip
         if begin > 0:
@@ -81,12 +82,14 @@ class MovingSimulation:
         offsets = {name: float(value) for name, value in self.sets[0].items()}
         return {
             "begin": self.begin, "dt": self.dt, "steps": self.steps, "offsets": offsets,
+            "steps_before": self.steps_before,
             "left": self.left, "fields": self.model.numerics.fields,
         }  # fmt: skip
 
     def resume(self, meta) -> None:
         """Go on with the state of a restart file and what `meta` told it."""
-        self.begin, self.dt, self.steps, self.left = (meta[k] for k in ("begin", "dt", "steps", "left"))
+        known = ("begin", "dt", "steps", "left", "steps_before")
+        self.begin, self.dt, self.steps, self.left, self.steps_before = (meta[k] for k in known)
         self.model = hand_over.moving_model(self.scene, self.layout, self.total, self.begin, meta["fields"])
         moved, reactions = _sets(self.layout, self.model)
         offsets = {name: jnp.asarray(meta["offsets"][name], value.dtype) for name, value in moved.items()}
@@ -162,6 +165,8 @@ class MovingSimulation:
         n, state = self.model.numerics, self.state
         position, lists = listed(state.points, self.layout.origin, n.cell, n.shape.centred)
         stays = self._inside(position, lists)
+        if not stays.any():
+            raise RunError(f"all points have left the grid at t = {self.time():.6g} s")
         if not stays.all():
             self._let_go(position, lists, ~stays)
             position, lists = position[:, stays], {k: v[..., stays] for k, v in lists.items()}
@@ -178,13 +183,12 @@ class MovingSimulation:
     def _inside(self, position, lists):
         """Which points stay; those beyond a wall that lets nothing through are put back, in `position`."""
         n = self.model.numerics
-        low = np.reshape(self.layout.origin, (2, 1)) - (0.5 * n.cell if n.shape.centred else 0.0)
-        cells = np.reshape(n.cells, (2, 1)) + n.shape.centred
+        low, cells = np.reshape(self.layout.origin, (2, 1)), np.reshape(n.cells, (2, 1))
         stays = np.ones(position.shape[1], bool)
         for axis, sides in enumerate(SIDES):
             y = (position[axis] - low[axis]) / n.cell
-            edges = (0.0, float(cells[axis, 0]) * (1 - 1e-12))
-            for side, beyond, edge in zip(sides, (y < 0, y >= cells[axis]), edges, strict=True):
+            edges = (1e-6, float(cells[axis, 0]) - 1e-6)
+            for side, beyond, edge in zip(sides, (y < 0, y > cells[axis]), edges, strict=True):
                 wall = getattr(self.scene.grid.walls, side)
                 if not beyond.any():
                     continue
@@ -203,6 +207,7 @@ class MovingSimulation:
 
     def _let_go(self, position, lists, leaves):
         """Book what points that leave take along."""
+        self._gauges_without(position, lists, leaves)
         before = self._energy()
         mass = np.asarray(self.state.points.mass)
         flags = np.zeros(mass.shape, bool)
@@ -220,6 +225,17 @@ class MovingSimulation:
         self.left["energy"] += energy
         work = self.state.work
         self.state = self.state._replace(work=work._replace(external=work.external - energy))
+
+    def _gauges_without(self, position, lists, leaves):
+        """Displacement gauges keep what points that leave have said last."""
+        moved, reactions = self.sets
+        home = np.reshape(self.layout.origin, (2, 1)) + lists["home"]
+        first = len(self.model.forces)
+        for k, name in enumerate(list(moved)):
+            share = lists["share"][2 * (first + k) : 2 * (first + k) + 2]
+            said = (share * (position - home))[:, leaves].sum()
+            moved = moved | {name: moved[name] + said}
+        self.sets = moved, reactions
 
     def _energy(self):
         parts = jax.jit(moving.energies)(self.model, self.state.points, self.state.pool)

@@ -71,7 +71,9 @@ class Recorder:
         self.sim = Simulation.of(scene)
         self.handed_over = None  # time, s
         self.messages: list[str] = []
-        if scene.solver.frame == "updated":
+        # bodies that meet or part are no matter for the total frame
+        parting = len({body.velocity for body in scene.bodies}) > 1
+        if scene.solver.frame == "updated" or (scene.solver.frame == "auto" and parting):
             self.sim = MovingSimulation.of(self.sim)
         self.columns = [("step", ""), ("time", "s")]
         self.columns += [(gauge.name, gauge.unit) for gauge in self.sim.layout.gauges]
@@ -121,12 +123,12 @@ class Recorder:
             if sample > 0:
                 sim.advance(sim.step_at(sample, samples))
             reading = sim.read() if sample > 0 or self.moves else self._at_rest()
-            error = energy_error(reading, self.little)
+            error = energy_error(reading, max(self.little, sim.left["energy"] if self.moves else 0.0))
             self._record(reading, error)
             if sample in framed:
                 self._frame(reading)
             self.done = sample
-            self.safe = (sim.state, self.done, self.frames)
+            self._keep()
             self.progress.show(self)
             if self._hand_over(reading, error):
                 sim = self.sim
@@ -146,8 +148,9 @@ class Recorder:
         if self.moves or self.scene.solver.frame != "auto" or self.done == self.scene.output.samples:
             return False
         reason = self.sim.asks_for_points(reading)
-        if not reason or not np.isfinite(error):
+        if not reason:
             return False
+        self.sim.check(reading, error)  # it may have gone too far, all at once
         self.sim = MovingSimulation.of(self.sim)
         self.handed_over = self.sim.begin
         now = energy_error(self.sim.read(), self.little)
@@ -157,9 +160,14 @@ class Recorder:
         )
         self.progress.say(self.messages[-1])
         self.cloud = _with_fields(self.cloud, self.directory / "result.vtkhdf", self.scene.grid.cell)
-        self.safe = (self.sim.state, self.done, self.frames)
+        self._keep()
         self.save()
         return True
+
+    def _keep(self):
+        """What a restart file would hold now: things that belong together."""
+        meta = json.loads(json.dumps(self.sim.meta())) if self.moves else None
+        self.safe = (self.sim.state, self.done, self.frames, meta)
 
     def _at_rest(self):
         """The reading before the first step."""
@@ -206,7 +214,7 @@ class Recorder:
         """Write the restart file, as of the last complete sample."""
         if self.safe is None:
             return
-        state, done, frames = self.safe
+        state, done, frames, moving = self.safe
         leaves, _ = jax.tree_util.tree_flatten_with_path(state)
         arrays = {_name(path): np.asarray(leaf) for path, leaf in leaves}
         meta = {
@@ -217,7 +225,7 @@ class Recorder:
             "run_seconds": self.sim.run_seconds,
             "handed_over": self.handed_over,
             "messages": self.messages,
-            "moving": self.sim.meta() if self.moves else None,
+            "moving": moving,
         }
         results.save_restart(self.directory / "restart.h5", arrays, meta)
 
@@ -239,7 +247,7 @@ class Recorder:
             self.sim.resume(meta["moving"])
         self.handed_over, self.messages = meta["handed_over"], meta["messages"]
         self.done, self.frames = meta["done"], meta["frames"]
-        self.safe = (self.sim.state, self.done, self.frames)
+        self._keep()
         self.wall_before, self.sim.run_seconds = meta["wall_seconds"], meta["run_seconds"]
 
     def _pictures(self):
@@ -272,7 +280,7 @@ class Recorder:
         """The run in numbers: N, mm, N·mm, s."""
         sim, scene = self.sim, self.scene
         last = dict(zip((name for name, _ in self.columns), self.rows[-1])) if self.rows else {}
-        steps = int(sim.state.step)
+        steps = int(sim.state.step) + (sim.steps_before if self.moves else 0)
         cells = int((sim.layout.material >= 0).sum())
         out = {
             "scene": scene.name, "title": scene.title, "status": status,

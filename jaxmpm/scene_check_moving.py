@@ -11,6 +11,9 @@ def check_moving(tree: dict[str, Any], problems: Problems) -> None:
     frame = solver.get("frame", "auto")
     materials = {k: m for k, m in _table(tree, "materials").items() if isinstance(m, dict)}
     _check_bulk(materials, frame, problems)
+    neo = any(_table(m, "bulk").get("law") == "neo_hookean" for m in materials.values())
+    if neo and _table(tree, "grid").get("stress_state") == "plane_stress":
+        problems.add(("grid", "stress_state"), '"plane_strain" with law "neo_hookean"')
     cracks = [name for name, material in materials.items() if material.get("band")]
     shape = points.get("shape", "gimp")
     if cracks and frame != "total" and shape in ("quadratic", "cubic"):
@@ -23,6 +26,12 @@ def check_moving(tree: dict[str, Any], problems: Problems) -> None:
     if contact.get("between") == "fragments" and frame == "updated":
         what = f'"bodies" with solver.frame = {written(frame)}'
         problems.add(("contact", "between"), what, "fragments are found when the total frame hands over")
+    order = points.get("order", "usl")
+    if order in ("usf", "musl") and points.get("transfer", "taylor") == "taylor":
+        advice = 'or points.transfer = "flip" or "apic": gradients would be a step behind'
+        problems.add(("points", "order"), '"usl" with points.transfer = "taylor"', advice)
+    if contact.get("kind") == "friction" and points.get("fmpm_order", 1) != 1:
+        problems.add(("points", "fmpm_order"), '1 with contact.kind = "friction"')
     if points.get("transfer") == "xpic" and points.get("fmpm_order", 1) != 1:
         problems.add(("points", "fmpm_order"), '1 with points.transfer = "xpic"')
     if frame == "updated":
