@@ -98,7 +98,7 @@ def debris_scene(blocks=14, cells=24) -> Scene:
         },
         "materials": {"rubber": {"density": 1e-9, "bulk": {"law": "elastic", "E": 10.0, "nu": 0.3}}},
         "bodies": bodies, "gravity": [0.0, -2e6],
-        "solver": {"frame": "updated", "duration": 1.0, "time_step_factor": 0.8},
+        "solver": {"frame": "updated", "duration": 1.0, "time_step_factor": 0.8, "damping": 0.0},
     })  # fmt: skip
 
 

@@ -113,6 +113,13 @@ def test_fragments_are_what_hangs_together():
     assert len(np.unique(number[:, 0])) == 1 and number[3, 0] not in (number[2, 3], number[9, 3])
 
 
+def test_each_body_has_a_field_of_its_own_however_small():
+    owner = np.zeros((40, 40), int)
+    owner[0, 0] = 1
+    number, _ = fragments(owner, np.ones(owner.shape))
+    assert number[0, 0] != number[5, 5] and len(np.unique(number)) == 2
+
+
 def test_a_cracked_body_that_is_turned_changes_nothing_but_its_direction():
     rows = list(turned(notched(), 0.6))
     assert len(rows) == 6 and all(row["passed"] for row in rows)

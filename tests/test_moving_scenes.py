@@ -100,6 +100,24 @@ def test_bodies_that_only_pass_each_other_do_not_touch():
     assert abs(float(reading.stored)) < 1e-6 * start
 
 
+def test_a_wall_holds_in_the_total_frame_too():
+    tree = scene(
+        [block((20, 0), (40, 15))], walls={"bottom": "slip"}, gravity=[0.0, -1e6],
+        solver={"frame": "total", "duration": 2e-3, "damping": 0.2},
+    )  # fmt: skip
+    sim = Simulation.of(tree)
+    sim.advance(sim.steps)
+    assert np.abs(np.asarray(sim.state.displacement)[1, :, 0]).max() == 0.0
+
+
+def test_a_body_outside_the_grid_at_the_hand_over_stops_the_run():
+    tree = scene([block((20, 0), (40, 15))], gravity=[0.0, -1e7], solver={"frame": "total", "duration": 1e-3})
+    sim = Simulation.of(tree)
+    sim.advance(sim.steps)
+    with pytest.raises(RunError, match="is outside the grid at t = .* where the total frame hands over"):
+        MovingSimulation.of(sim)
+
+
 def test_gravity_is_the_same_in_both_frames():
     bodies = [block((20, 40), (40, 55))]
     found = []
@@ -124,6 +142,9 @@ def test_gravity_is_the_same_in_both_frames():
         ("den", ['points.fill="shapes"'], '"cells" in this frame'),
         ("bar", ['solver.frame="updated"', "displacements.0.history.value=[0.1,0.2,0.3]"], "begin with 0"),
         ("discs", ['points.transfer="xpic"', "points.fmpm_order=2"], "1 with points.transfer"),
+        ("discs", ['contact.kind="friction"', "points.fmpm_order=2"], "1 with contact.kind"),
+        ("discs", ['points.order="musl"'], '"usl" with points.transfer'),
+        ("discs", ['grid.stress_state="plane_stress"'], '"plane_strain" with law'),
     ],
 )
 def test_choices_that_do_not_go_together_are_refused(name, changes, expected):
