@@ -333,8 +333,3 @@ def with_addresses(pool, points):
     here = np.flatnonzero(band > 0)
     address[band[here] - 1] = here
     return pool._replace(cell=jnp.asarray(address))
-
-
-def as_bands(pool):
-    """How many bands there are, for a log."""
-    return int(pool.count) if isinstance(pool, bands.Pool) else 0
