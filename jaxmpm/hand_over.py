@@ -263,8 +263,9 @@ def to_points(scene, layout, model, state, time, fields=1, body_of=None):
     if new.numerics.affine:
         still = np.zeros((2, 2, len(mass)))
         lists["affine"] = still if begins else nodal.gradient(velocity)
-    _check_inside(layout, home + nodal.at(displacement), time)
-    binned = binned_points(new.numerics, layout.origin, home + nodal.at(displacement), lists)
+    position = home + nodal.at(displacement)
+    _check_inside(layout, position, time)
+    binned = binned_points(new.numerics, layout.origin, position, lists)
     pool = None
     if new.cracking is not None:
         pool = with_addresses(state.pool, binned)

@@ -12,7 +12,7 @@ from jaxmpm import explicit
 from jaxmpm.errors import RunError
 from jaxmpm.fragments import fragments
 from jaxmpm.points import Points, Room, listed, slots_of
-from jaxmpm.simulation import FRAME_FIELDS, little_energy
+from jaxmpm.simulation import FRAME_FIELDS, check_energy, check_finite, little_energy
 
 MOVING_FIELDS = FRAME_FIELDS | {"side": 1, "velocity": 3}
 STABLE = 0.5  # of the step that is stable for a cell full of matter: nodes at an edge carry less
@@ -164,7 +164,7 @@ class MovingSimulation:
         """A window around the points, slots for all in it; those outside the grid leave or stop the run."""
         n, state = self.model.numerics, self.state
         position, lists = listed(state.points, self.layout.origin, n.cell, n.shape.centred)
-        stays = self._inside(position, lists)
+        stays = self._inside(position)
         if not stays.any():
             raise RunError(f"all points have left the grid at t = {self.time():.6g} s")
         if not stays.all():
@@ -180,7 +180,7 @@ class MovingSimulation:
             pool = hand_over.with_addresses(self.state.pool, points)
             self.state = self.state._replace(pool=pool)
 
-    def _inside(self, position, lists):
+    def _inside(self, position):
         """Which points stay; those beyond a wall that lets nothing through are put back, in `position`."""
         n = self.model.numerics
         low, cells = np.reshape(self.layout.origin, (2, 1)), np.reshape(n.cells, (2, 1))
@@ -268,17 +268,8 @@ class MovingSimulation:
         """Raise RunError where a result can no longer be trusted."""
         solver = self.scene.solver
         when = f"at t = {float(reading.time):.6g} s"
-        if not np.isfinite([*reading.gauges.values(), *reading.energies()]).all():
-            raise RunError(
-                f"not finite {when}: the run has become unstable; lower solver.time_step_factor "
-                f"(now {solver.time_step_factor:g}) or set points.order = \"musl\""
-            )
-        if abs(energy_error) > solver.energy_error_limit:
-            raise RunError(
-                f"relative energy error {energy_error:.3g} {when}, more than "
-                f"solver.energy_error_limit = {solver.energy_error_limit:g}: lower "
-                f"solver.time_step_factor (now {solver.time_step_factor:g}) or load more slowly"
-            )
+        check_finite(solver, [*reading.gauges.values(), *reading.energies()], when)
+        check_energy(solver, energy_error, when)
 
 
 def _fields(scene, layout, simulation):

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmpm import carry, cracks, holds, moving, nodal
+from jaxmpm import carry, cracks, holds, moving, nodal, tensor
 from jaxmpm.laws.finite import plus_one
 from jaxmpm.observe import Reading
 from jaxmpm.points import listed, separate
@@ -16,7 +16,7 @@ def read(model, state, dt, sets) -> Reading:
 
     Args:
         model, state, dt: as of `moving.step`.
-        sets: what gauges read, by name, see `Readings`.
+        sets: what gauges read, by name, see `moving_simulation`.
     """
     n, points = model.numerics, separate(state.points)
     time = model.begin + state.step * dt
@@ -47,12 +47,9 @@ def read(model, state, dt, sets) -> Reading:
 
 def _half_step(points, dt):
     """Stored energy where velocities are, half a step before the stresses, less that of these."""
-    d = len(points.velocity)
-    pairs = [(i, j) for i in range(d) for j in range(d)]
-    index = {1: {(0, 0): 0}, 2: {(0, 0): 0, (1, 1): 1, (0, 1): 2, (1, 0): 2}}.get(d)
-    if index is None:
-        index = {(0, 0): 0, (1, 1): 1, (2, 2): 2, (1, 2): 3, (2, 1): 3, (0, 2): 4, (2, 0): 4, (0, 1): 5, (1, 0): 5}
-    power = sum(points.stress[index[i, j]] * points.affine[i, j] for i, j in pairs)
+    power, rate = 0.0, points.affine
+    for value, (i, j) in zip(points.stress, tensor.IN_SPACE[len(points.velocity)], strict=True):
+        power = power + value * (rate[i, j] if i == j else rate[i, j] + rate[j, i])
     return -dt / 2 * (points.volume * power).sum()
 
 

@@ -150,12 +150,7 @@ class Simulation:
         """Raise RunError where a result can no longer be trusted."""
         solver = self.scene.solver
         when = f"at t = {float(reading.time):.6g} s"
-        numbers = [*reading.gauges.values(), *reading.energies(), reading.gradient]
-        if not np.isfinite(numbers).all():
-            raise RunError(
-                f"not finite {when}: the run has become unstable; lower solver.time_step_factor "
-                f"(now {solver.time_step_factor:g})"
-            )
+        check_finite(solver, [*reading.gauges.values(), *reading.energies(), reading.gradient], when)
         if reading.gradient > solver.gradient_limit:
             raise RunError(
                 f"displacement gradient {float(reading.gradient):.3g} {when} in the uncracked cell "
@@ -169,12 +164,26 @@ class Simulation:
                 f"{self.place(reading.opening_cell)}, more than a cell of {self.layout.cell:g} mm: "
                 "too large a motion for the total frame; stop earlier or use larger cells"
             )
-        if abs(energy_error) > solver.energy_error_limit:
-            raise RunError(
-                f"relative energy error {energy_error:.3g} {when}, more than "
-                f"solver.energy_error_limit = {solver.energy_error_limit:g}: lower "
-                f"solver.time_step_factor (now {solver.time_step_factor:g}) or load more slowly"
-            )
+        check_energy(solver, energy_error, when)
+
+
+def check_finite(solver, numbers, when: str) -> None:
+    """Raise RunError where one of the numbers of a reading is not finite."""
+    if not np.isfinite(numbers).all():
+        raise RunError(
+            f"not finite {when}: the run has become unstable; lower solver.time_step_factor "
+            f"(now {solver.time_step_factor:g})"
+        )
+
+
+def check_energy(solver, energy_error: float, when: str) -> None:
+    """Raise RunError where the energy balance is further out than the scene allows."""
+    if abs(energy_error) > solver.energy_error_limit:
+        raise RunError(
+            f"relative energy error {energy_error:.3g} {when}, more than "
+            f"solver.energy_error_limit = {solver.energy_error_limit:g}: lower "
+            f"solver.time_step_factor (now {solver.time_step_factor:g}) or load more slowly"
+        )
 
 
 def little_energy(scene, layout) -> float:

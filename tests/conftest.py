@@ -28,3 +28,18 @@ def _forget_what_was_compiled():
     yield
     if "jax" in sys.modules:
         sys.modules["jax"].clear_caches()
+
+
+@pytest.fixture
+def figures(monkeypatch):
+    """The Matplotlib figures that are saved, for a look at what is in them."""
+    from jaxmpm import plot_style
+
+    saved, save = [], plot_style.save
+
+    def keep(figure, path):
+        saved.append(figure)
+        return save(figure, path)
+
+    monkeypatch.setattr(plot_style, "save", keep)
+    return saved

@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from jaxmpm import plot, plot_style
+from jaxmpm import plot
 from jaxmpm.plot_body import find_body, outline
 from jaxmpm.results import History, ResultError, write_summary
 from jaxmpm.vtkhdf import PointCloudWriter
@@ -70,19 +70,6 @@ def png_size(path):
     head = path.read_bytes()[:24]
     assert head[:8] == b"\x89PNG\r\n\x1a\n"
     return struct.unpack(">II", head[16:24])
-
-
-@pytest.fixture
-def figures(monkeypatch):
-    """The Matplotlib figures that are saved, for a look at what is in them."""
-    saved, save = [], plot_style.save
-
-    def keep(figure, path):
-        saved.append(figure)
-        return save(figure, path)
-
-    monkeypatch.setattr(plot_style, "save", keep)
-    return saved
 
 
 def words(figure):

@@ -11,19 +11,6 @@ from jaxmpm.plot_points import find_squares, turns
 from jaxmpm.results import ResultError
 
 
-@pytest.fixture
-def figures(monkeypatch):
-    """The Matplotlib figures that are saved, for a look at what is in them."""
-    saved, save = [], plot_style.save
-
-    def keep(figure, path):
-        saved.append(figure)
-        return save(figure, path)
-
-    monkeypatch.setattr(plot_style, "save", keep)
-    return saved
-
-
 def squares_in(axes):
     from matplotlib.collections import PolyCollection
 
