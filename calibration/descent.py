@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optax
 
 from jaxmpm.errors import RunError
@@ -20,9 +21,9 @@ Show = Callable[[str], None]
 class Descent(NamedTuple):
     """Where a descent ended."""
 
-    theta: jax.Array  # (k,)
-    residual: jax.Array  # (m,)
-    jacobian: jax.Array  # (m, k), of the residual in theta
+    theta: np.ndarray  # (k,)
+    residual: np.ndarray  # (m,)
+    jacobian: np.ndarray  # (m, k), of the residual in theta
     steps: int
     rejected: int
     converged: bool
@@ -66,41 +67,50 @@ def adam(evaluate, theta, steps=200, rate=0.1, show: Show | None = None, name=la
     Returns:
         the best theta that was met, of the same shape, and its loss.
     """
-    moments = optax.scale_by_adam().init(theta)
     loss, slope = _attempt(evaluate, theta, jnp.inf + theta[..., 0])
-    best, least = theta, jnp.where(jnp.isfinite(loss), loss, jnp.inf)
-    length = jnp.full_like(loss, rate)
+    least = jnp.where(jnp.isfinite(loss), loss, jnp.inf)
+    moments = optax.scale_by_adam().init(theta)
+    state = Adam(theta, slope, moments, jnp.full_like(loss, rate), theta, least)
     for count in range(steps):
-        now = length * 100.0 ** (-count / steps)
-        trial, ahead = _step(slope, moments, theta, now)
-        new_loss, new_slope = _attempt(evaluate, trial, loss)
-        good = jnp.isfinite(new_loss) & jnp.isfinite(new_slope).all(-1)
-        theta, slope, moments, length = _take(
-            good, (trial, new_slope, ahead, length), (theta, slope, moments, length / 2)
-        )
-        better = good & (new_loss < least)
-        best, least = _take(better, (trial, new_loss), (best, least))
+        trial, moments = _ahead(state, 100.0 ** (-count / steps))
+        state = _settled(state, trial, moments, *_attempt(evaluate, trial, loss))
         if show and (count + 1) % max(1, steps // 10) == 0:
-            at = jnp.unravel_index(jnp.argmin(least), least.shape)
-            show(_line(f"Adam {count + 1}", least[at], jnp.linalg.norm(slope[at]), name(best[at])))
-    return best, least
+            at = np.unravel_index(np.argmin(state.least), state.least.shape)
+            slope = np.linalg.norm(state.slope[at])
+            show(_line(f"Adam {count + 1}", state.least[at], slope, name(state.best[at])))
+    return state.best, state.least
+
+
+class Adam(NamedTuple):
+    """Where Adam is: (..., k), or (...) for lengths of steps and losses."""
+
+    theta: jax.Array
+    slope: jax.Array
+    moments: optax.OptState
+    length: jax.Array
+    best: jax.Array
+    least: jax.Array
 
 
 @jax.jit
-def _step(slope, moments, theta, length):
-    update, moments = optax.scale_by_adam().update(jnp.nan_to_num(slope), moments)
-    return theta - length[..., None] * update, moments
+def _ahead(state, share):
+    """The next theta to try, and the moments there."""
+    update, moments = optax.scale_by_adam().update(jnp.nan_to_num(state.slope), state.moments)
+    return state.theta - (share * state.length)[..., None] * update, moments
 
 
-def _take(good, new, old):
-    """`new` where `good` (...), else `old`; leaves (...) or (..., k), counters as they are."""
-
-    def one(x, y):
-        if jnp.ndim(x) < good.ndim:
-            return x
-        return jnp.where(good if jnp.ndim(x) == good.ndim else good[..., None], x, y)
-
-    return jax.tree.map(one, new, old)
+@jax.jit
+def _settled(state, trial, moments, loss, slope):
+    """After an evaluation at `trial`: there, or where it was with steps half as long."""
+    good = jnp.isfinite(loss) & jnp.isfinite(slope).all(-1)
+    better = good & (loss < state.least)
+    at = lambda mask, new, old: jnp.where(mask[..., None], new, old)  # noqa: E731
+    keep = lambda new, old: new if jnp.ndim(new) < jnp.ndim(trial) else at(good, new, old)  # noqa: E731
+    return Adam(
+        at(good, trial, state.theta), at(good, slope, state.slope),
+        jax.tree.map(keep, moments, state.moments), jnp.where(good, state.length, state.length / 2),
+        at(better, trial, state.best), jnp.where(better, loss, state.least),
+    )  # fmt: skip
 
 
 def gauss_newton(evaluate, theta, steps=60, tolerance=1e-9, show: Show | None = None, name=lambda theta: ""):
@@ -117,39 +127,43 @@ def gauss_newton(evaluate, theta, steps=60, tolerance=1e-9, show: Show | None = 
     Returns:
         Descent; its residual is not finite if the start cannot be evaluated.
     """
-    value, jacobian = _attempt(evaluate, theta, jnp.full(1, jnp.nan))
+    theta = np.asarray(theta)
+    value, jacobian = _attempt_arrays(evaluate, theta, np.full(1, np.nan))
     damping, rejected, converged, count = 1e-3, 0, False, 0
     for count in range(1, steps + 1):
         slope = value @ jacobian
-        move = _damped(jacobian, slope, damping)
-        small = jnp.abs(move).max() < tolerance
-        if not jnp.isfinite(slope).all() or small or _orthogonal(value, jacobian, tolerance):
-            converged = bool(jnp.isfinite(slope).all())
+        if not np.isfinite(slope).all():
             break
-        new_value, new_jacobian = _attempt(evaluate, theta + move, value)
-        good = jnp.isfinite(new_value).all() & jnp.isfinite(new_jacobian).all()
-        if good and new_value @ new_value <= value @ value:
+        move = _damped(jacobian, slope, damping)
+        converged = np.abs(move).max() < tolerance or _orthogonal(value, jacobian, tolerance)
+        if converged:
+            break
+        new_value, new_jacobian = _attempt_arrays(evaluate, theta + move, value)
+        if np.isfinite(new_jacobian).all() and new_value @ new_value <= value @ value:
             theta, value, jacobian, damping = theta + move, new_value, new_jacobian, damping / 10
         else:
-            damping, rejected = max(10 * damping, 1e-9), rejected + 1
-            if damping > 1e12:
-                break
+            damping, rejected = 10 * damping, rejected + 1
         if show:
-            show(_line(f"Gauss-Newton {count}", value @ value / 2, jnp.linalg.norm(slope), name(theta)))
-    return Descent(theta, value, jacobian, count, rejected, converged)
+            show(_line(f"Gauss-Newton {count}", value @ value / 2, np.linalg.norm(slope), name(theta)))
+    return Descent(theta, value, jacobian, count, rejected, bool(converged))
+
+
+def _attempt_arrays(evaluate, theta, like):
+    return tuple(np.asarray(part) for part in _attempt(evaluate, jnp.asarray(theta), like))
 
 
 def _damped(jacobian, slope, damping):
-    """Step (k,) of the normal equations, at most 2 in any direction."""
+    """Step (k,) of the damped normal equations, at most 2 in any direction."""
     square = jacobian.T @ jacobian
-    scale = jnp.maximum(jnp.diag(square), 1e-12 * jnp.trace(square) + 1e-300)
-    move = -jnp.linalg.solve(square + damping * jnp.diag(scale), slope)
-    return move * jnp.minimum(1.0, 2.0 / jnp.maximum(jnp.abs(move).max(), 1e-300))
+    diagonal = np.maximum(np.diag(square), 1e-12 * np.trace(square) + 1e-300)
+    move = -np.linalg.lstsq(square + damping * np.diag(diagonal), slope)[0]
+    return move * min(1.0, 2.0 / max(np.abs(move).max(), 1e-300))
 
 
 def _orthogonal(value, jacobian, tolerance):
-    size = jnp.linalg.norm(value) * jnp.linalg.norm(jacobian, axis=0)
-    return bool((jnp.abs(value @ jacobian) <= tolerance * size).all())
+    """Whether no small step can change the residual by more than a share of it."""
+    size = np.linalg.norm(value) * np.linalg.norm(jacobian, axis=0)
+    return (np.abs(value @ jacobian) <= tolerance * size).all()
 
 
 def lbfgs(loss, theta, steps=100, tolerance=1e-13):

@@ -2,7 +2,7 @@
 
 import json
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 import jax
@@ -47,9 +47,9 @@ def calibrate_energy(E, ft, GF, h=None, condition=InitialSlope()) -> Calibrated:
     Raises:
         SceneError: there are none; says why. RunError: the two ways disagree by over 1e-5.
     """
-    find = energy.fit_energy if h is not None else lambda E, ft, GF, _, c: fit_width(E, ft, GF, c)
-    asked = (*map(float, (E, ft, GF)), None if h is None else float(h), condition)
-    *found, status = compiled(jax.jit(find).lower(*asked))(*asked)
+    E, ft, GF = map(float, (E, ft, GF))
+    asked = (E, ft, GF, condition) if h is None else (E, ft, GF, float(h), condition)
+    *found, status = _program(fit_width if h is None else energy.fit_energy, type(condition))(*asked)
     if int(status) != energy.FOUND:
         raise SceneError(refusal(int(status), E, ft, GF, h, condition))
     *width, Ep, n = map(float, found)
@@ -66,6 +66,13 @@ def calibrate_energy(E, ft, GF, h=None, condition=InitialSlope()) -> Calibrated:
             f"closed form (Ep = {Ep:g}, n = {n:g}) and descent (Ep = {other_Ep:g}, n = {other_n:g}) disagree"
         )
     return result
+
+
+@cache
+def _program(fit, kind):
+    """A fit compiled for one kind of condition."""
+    blank = kind(**{name: 1.0 for name in kind.__dataclass_fields__})
+    return compiled(jax.jit(fit).lower(*[1.0] * (3 if fit is fit_width else 4), blank))
 
 
 def descend(E, ft, GF, h, condition=InitialSlope()) -> tuple[float, float]:
@@ -97,7 +104,8 @@ def _notes(E, ft, GF, h, condition):
     if h is not None and crossings(E, ft, GF, h, condition) > 1:
         notes.append("a second curve, with a larger n, meets the condition as well")
     if h is None:
-        change = jax.jacfwd(lambda w: jnp.log(fit_width(E, ft, GF, _at(condition, w)).h))(condition.w)
+        log_h = lambda w: jnp.log(fit_width(E, ft, GF, _at(condition, w)).h)  # noqa: E731
+        change = jax.jit(jax.jacfwd(log_h))(condition.w)
         notes.append(f"h is sensitive: 1 % in w changes it by {abs(float(change)) * condition.w:.0f} %")
     return tuple(notes)
 
@@ -146,3 +154,12 @@ def curve_of(result: Calibrated, count: int = 400) -> tuple[np.ndarray, np.ndarr
     last = opening[np.argmax(stress < 0.02 * result.ft)] if (stress < 0.02 * result.ft).any() else opening[-1]
     w = np.linspace(0.0, last, count)
     return w, np.interp(w, opening, stress)
+
+
+def draw(result: Calibrated, path, point=None) -> Path:
+    """The softening curve, and a point (w, mm; σ, MPa) that it was asked to pass."""
+    from calibration.plots import plot_softening
+
+    r = result
+    title = f"ft = {r.ft:.4g} MPa, Ep = {r.Ep:.4g} MPa, n = {r.n:.4g}, h = {r.h:.4g} mm"
+    return plot_softening(path, *curve_of(r), r.ft, r.GF, -r.k / r.h, title, point)

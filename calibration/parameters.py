@@ -31,6 +31,12 @@ class Free:
             return self.low + jnp.exp(number)
         return self.low + (self.high - self.low) * jax.nn.sigmoid(number)
 
+    def relative(self, number):
+        """d ln(value)/d(free number)."""
+        value = self.outward(number)
+        below = 1.0 if self.high is None else (self.high - value) / (self.high - self.low)
+        return (value - self.low) * below / value
+
 
 class Parameters:
     """Named parameters, free and fixed; a vector theta (k,) stands for the free ones, in order."""
@@ -54,8 +60,7 @@ class Parameters:
 
     def relative(self, theta):
         """d ln(value)/d theta of the free parameters (k,): what a step is, as a share of the value."""
-        one = lambda free, x: jax.grad(lambda y: jnp.log(free.outward(y)))(x)  # noqa: E731
-        return jnp.stack([one(free, x) for free, x in zip(self.free.values(), theta, strict=True)])
+        return jnp.stack([one.relative(x) for one, x in zip(self.free.values(), theta, strict=True)])
 
     def about(self, count: int, spread: float = 0.7, seed: int = 0):
         """Starts (count, k): the given one, and others at random around it."""

@@ -1,6 +1,7 @@
 """What is said to people where there is no E_p and n: the key, its value, what was expected and why."""
 
 import math
+from functools import cache
 
 import jax
 import jax.numpy as jnp
@@ -83,10 +84,22 @@ def crossings(E, ft, GF, h, condition) -> int:
 
 
 def _measured(E, ft, GF, h, condition):
-    E, ft, GF = (jnp.asarray(float(x)) for x in (E, ft, GF))
-    if h is None:
-        grid, measure = widths(E, ft, GF, condition, InitialSlope())
-    else:
-        top = 1 / 3 if isinstance(condition, Centroid) else 0.5
-        grid, measure = energy.family(condition, Given(E, ft, GF, jnp.asarray(float(h))), top)
-    return jax.jit(jax.vmap(lambda x: measure(x)[0]))(grid)
+    values = (E, ft, GF) if h is None else (E, ft, GF, h)
+    return _program(len(values))(*map(float, values), condition)
+
+
+@cache
+def _program(count):
+    """ln of the openings of a family of curves, compiled; of E, f_t, G_F (and h) and a condition."""
+
+    def measured(*values):
+        *values, condition = values
+        values = [jnp.asarray(value) for value in values]
+        if count == 3:
+            grid, measure = widths(*values, condition, InitialSlope())
+        else:
+            top = 1 / 3 if isinstance(condition, Centroid) else 0.5
+            grid, measure = energy.family(condition, Given(*values), top)
+        return jax.vmap(lambda x: measure(x)[0])(grid)
+
+    return jax.jit(measured)

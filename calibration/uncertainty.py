@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 
 from calibration.descent import Descent
@@ -31,11 +30,11 @@ def uncertainty(fit: Descent, parameters: Parameters, scale: float = 1.0) -> Unc
     of powers of the parameters, the right singular vector of the least singular value, that an
     error of 1 % in the data (or the residuals, if larger) would change by more than 20 %.
     """
-    relative = np.asarray(fit.jacobian / parameters.relative(fit.theta))  # in ln(parameter)
+    relative = fit.jacobian / np.asarray(parameters.relative(fit.theta))  # in ln(parameter)
     values = parameters.values(fit.theta)
     value = np.array([float(values[name]) for name in parameters.names])
     count, free = relative.shape
-    error = float(jnp.linalg.norm(fit.residual)) / np.sqrt(max(count - free, 1))
+    error = float(np.linalg.norm(fit.residual)) / np.sqrt(max(count - free, 1))
     _, singular, rows = np.linalg.svd(relative, full_matrices=False)
     singular = np.pad(singular, (0, free - len(singular)))
     rows = rows if len(rows) == free else np.linalg.svd(relative)[2]

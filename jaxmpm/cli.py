@@ -1,4 +1,4 @@
-"""The command line: `jaxmpm run | scenes | plot | verify | stability | benchmark`."""
+"""The command line: `jaxmpm run | scenes | plot | calibrate | verify | stability | benchmark`."""
 
 import argparse
 import json
@@ -78,6 +78,13 @@ def _parser() -> argparse.ArgumentParser:
         help="of pictures png (default), pdf or svg; of an animation gif (default) or mp4",
     )  # fmt: skip
     plot.set_defaults(command=_plot)
+
+    calibrate = commands.add_parser(  # whose own options are none of this parser's
+        "calibrate", help="parameters of band laws from what was measured", add_help=False,
+        prefix_chars="\0",
+    )  # fmt: skip
+    calibrate.add_argument("arguments", nargs="*")
+    calibrate.set_defaults(command=_calibrate)
 
     verify = commands.add_parser("verify", help="check the program against known answers")
     verify.add_argument("checks", nargs="*", metavar="CHECK", help="which (default: all)")
@@ -190,6 +197,12 @@ def _picture_format(options) -> str:
         expected = "gif or mp4 with" if options.animate else "png, pdf or svg without"
         raise ResultError(f"--format = {kind}: expected {expected} --animate")
     return kind
+
+
+def _calibrate(options) -> int:
+    from calibration.cli import main as calibrate
+
+    return calibrate(options.arguments)
 
 
 def _verify(options) -> int:

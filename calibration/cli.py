@@ -1,0 +1,207 @@
+"""`jaxmpm calibrate energy | curve`: options in, words, files and pictures out."""
+
+import argparse
+import math
+from pathlib import Path
+
+from jaxmpm.errors import SceneError, did_you_mean
+
+CONDITIONS = ("initial_slope", "point", "centroid", "modulus")
+CURVES = ("linear", "bilinear", "exponential", "hordijk")
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser that reports bad options as the rest of the program reports bad input."""
+
+    def error(self, message):
+        raise SceneError(f"calibrate: {message}")
+
+    def parse_all(self, arguments):
+        """Options of `arguments`; an unknown one is answered with the nearest that is known."""
+        options, unknown = self.parse_known_args(arguments)
+        if unknown:
+            known = [name for name in options.known if name != "-h"]
+            near = did_you_mean(unknown[0].split("=")[0], known)
+            hint = f"did you mean {near}?" if near else f"expected one of {', '.join(known)}"
+            raise SceneError(f"calibrate {options.what}: unknown {unknown[0]} ({hint})")
+        return options
+
+
+def main(arguments=None) -> int:
+    """Do what the words after `jaxmpm calibrate` ask for; raises SceneError for bad input."""
+    options = _parser().parse_all(arguments)
+    return options.command(options)
+
+
+def positive(text: str) -> float:
+    """A finite number above zero."""
+    value = number(text)
+    if not value > 0:
+        raise argparse.ArgumentTypeError(f"{text}: expected a finite number above 0")
+    return value
+
+
+def number(text: str) -> float:
+    """A finite number."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text}: expected a finite number")
+    return value
+
+
+def _parser() -> Parser:
+    parser = Parser(
+        prog="jaxmpm calibrate",
+        description="Parameters of band laws from fracture energy or a softening curve.",
+        epilog="example: jaxmpm calibrate energy --E 32000 --ft 3 --GF 0.11 --h 0.05",
+        allow_abbrev=False,
+    )
+    what = parser.add_subparsers(title="what", required=True, metavar="WHAT", dest="what")
+    for add, command in ((_add_energy, _energy), (_add_curve, _curve)):
+        part = add(what)
+        known = [name for action in part._actions for name in action.option_strings]
+        part.set_defaults(command=command, known=known)
+    return parser
+
+
+def _add_energy(what):
+    part = what.add_parser("energy", help="Ep and n of the damage law from GF", allow_abbrev=False)
+    part.add_argument("--E", type=positive, required=True, metavar="MPA", help="Young's modulus")
+    part.add_argument("--ft", type=positive, required=True, metavar="MPA", help="tensile strength")
+    part.add_argument("--GF", type=positive, required=True, metavar="N/MM", help="fracture energy")
+    part.add_argument("--h", type=_width, required=True, metavar="MM", help='width of the band, or "fit"')
+    part.add_argument(
+        "--condition", choices=CONDITIONS, default=CONDITIONS[0],
+        help="what the curve obeys besides (default: initial_slope)",
+    )  # fmt: skip
+    part.add_argument("--slope-factor", type=positive, help="initial slope over -ft²/GF (default: 2)")
+    part.add_argument("--w", type=positive, metavar="MM", help="opening of the point or centroid")
+    part.add_argument("--ratio", type=_share, help="of the point, stress over strength (default: 0.5)")
+    part.add_argument("--Ep", type=positive, metavar="MPA", help="of the condition modulus")
+    part.add_argument("--json", metavar="FILE", help="write all numbers")
+    part.add_argument("--plot", metavar="FILE", help="draw the softening curve (png, pdf, svg)")
+    return part
+
+
+def _add_curve(what):
+    part = what.add_parser("curve", help="a band law from a softening curve", allow_abbrev=False)
+    part.add_argument("file", nargs="?", metavar="FILE", help="CSV with w [mm], sigma [MPa], or a bundled name")
+    part.add_argument("--law", default="damage", choices=("damage", *CURVES), help="default: damage")
+    part.add_argument("--E", type=positive, metavar="MPA", help="Young's modulus, of the damage law")
+    part.add_argument("--h", type=positive, metavar="MM", help="width of the band, of the damage law")
+    part.add_argument("--fix", action="append", default=[], metavar="KEY=VALUE", help="a parameter that is known")
+    part.add_argument("--to", choices=CURVES, help="fit to this law instead of a file, with --ft and --GF")
+    part.add_argument("--ft", type=positive, metavar="MPA", help="of --to")
+    part.add_argument("--GF", type=positive, metavar="N/MM", help="of --to")
+    part.add_argument("--out", metavar="DIR", help="write fit.json and fit.png")
+    part.add_argument("--quiet", action="store_true", help="no progress")
+    return part
+
+
+def _width(text: str):
+    return None if text == "fit" else positive(text)
+
+
+def _share(text: str) -> float:
+    value = number(text)
+    if not 0 < value < 1:
+        raise argparse.ArgumentTypeError(f"{text}: expected a number between 0 and 1")
+    return value
+
+
+def _energy(options) -> int:
+    _check_condition(options)
+    _check_file(options.json), _check_picture(options.plot)
+    from calibration import energy_report
+    from jaxmpm.compilation import keep_compiled
+
+    keep_compiled()
+    condition = _condition(options)
+    result = energy_report.calibrate_energy(options.E, options.ft, options.GF, options.h, condition)
+    print(energy_report.words(result))
+    if options.json:
+        energy_report.write_json(result, options.json)
+    if options.plot:
+        point = (condition.w, condition.ratio * options.ft) if options.condition == "point" else None
+        print(energy_report.draw(result, options.plot, point))
+    return 0
+
+
+def _check_condition(options):
+    """Each condition has its own options, and no others."""
+    belongs = {"slope_factor": ("initial_slope",), "w": ("point", "centroid"), "ratio": ("point",), "Ep": ("modulus",)}
+    for name, conditions in belongs.items():
+        given, flag = getattr(options, name), f"--{name.replace('_', '-')}"
+        if given is not None and options.condition not in conditions:
+            raise SceneError(
+                f"{flag} = {given:g}: expected only with --condition {' or '.join(conditions)}"
+            )
+        if given is None and options.condition in conditions and name in ("w", "Ep"):
+            raise SceneError(f"{flag}: absent, expected with --condition {options.condition}")
+    if options.h is None and options.condition not in ("point", "centroid"):
+        raise SceneError("--h = fit: expected with --condition point or centroid, and the initial slope")
+
+
+def _condition(options):
+    from calibration.energy import Centroid, InitialSlope, Modulus, Point
+
+    if options.condition == "point":
+        return Point(options.w, 0.5 if options.ratio is None else options.ratio)
+    if options.condition == "centroid":
+        return Centroid(options.w)
+    if options.condition == "modulus":
+        return Modulus(options.Ep)
+    return InitialSlope(2.0 if options.slope_factor is None else options.slope_factor)
+
+
+def _check_file(name):
+    if name and not Path(name).absolute().parent.is_dir():
+        raise SceneError(f"{name}: expected a file in a folder that exists")
+
+
+def _check_picture(name):
+    _check_file(name)
+    if name and Path(name).suffix not in (".png", ".pdf", ".svg"):
+        raise SceneError(f"--plot = {name}: expected a name that ends in .png, .pdf or .svg")
+
+
+def _curve(options) -> int:
+    fix = _fixed(options.fix)
+    if (options.file is None) == (options.to is None):
+        raise SceneError("calibrate curve: expected FILE.csv or --to LAW, one of them")
+    if options.to and None in (options.ft, options.GF):
+        raise SceneError(f"--to = {options.to}: expected --ft (MPa) and --GF (N/mm) with it")
+    if not options.to and (options.ft or options.GF):
+        raise SceneError("--ft, --GF: expected only with --to (a known parameter is --fix ft=3)")
+    if options.law == "damage" and None in (options.E, options.h):
+        raise SceneError("--law = damage: expected --E (MPa) and --h (mm) with it")
+    from calibration.tables import read_curve
+
+    data = read_curve(options.file) if options.file else None
+    from calibration import curve, curve_report
+    from jaxmpm.compilation import keep_compiled
+
+    keep_compiled()
+    data = data or curve.sampled(options.to, options.ft, options.GF)
+    show = None if options.quiet else print
+    fit = curve.fit_curve(data, options.law, options.E, options.h, fix, show)
+    print(curve_report.words(fit))
+    if options.out:
+        print(curve_report.write(fit, options.out))
+    return 0
+
+
+def _fixed(pairs) -> dict[str, float]:
+    fixed = {}
+    for pair in pairs:
+        name, equals, text = pair.partition("=")
+        try:
+            fixed[name] = number(text)
+        except argparse.ArgumentTypeError as error:
+            raise SceneError(f"--fix {pair}: expected KEY=VALUE such as ft=3") from error
+        if not equals:
+            raise SceneError(f"--fix {pair}: expected KEY=VALUE such as ft=3")
+    return fixed

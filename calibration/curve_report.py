@@ -1,0 +1,86 @@
+"""A fitted softening curve in words, as JSON and as a picture."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from calibration.curve import UNITS, CurveFit, traction
+from calibration.plots import plot_fit
+
+
+def words(fit: CurveFit) -> str:
+    """The result in a few lines."""
+    known = fit.uncertainty
+    lines = [f"{fit.law} fitted to {fit.data.name}, {len(fit.data.w)} points, {_ended(fit)}"]
+    for name, deviation in zip(known.names, known.deviation, strict=True):
+        lines.append(f"{name:3} = {fit.values[name]:.6g} +- {deviation:.2g} {UNITS[name]}".rstrip())
+    lines += [f"{name:3} = {fit.values[name]:.6g} {UNITS[name]} fixed".replace("  ", " ") for name in fit.fixed]
+    follow = [name for name in UNITS if name in fit.values and name not in (*known.names, *fit.fixed)]
+    lines += [f"{name:3} = {fit.values[name]:.6g} {UNITS[name]} follows" for name in follow]
+    lines.append(f"{100 * fit.beyond:.1f} % of GF lies beyond the last point")
+    strength = fit.values["ft"]
+    lines.append(f"residual {fit.rms:.3g} MPa rms, {100 * fit.rms / strength:.2g} % of ft")
+    lines += [f"correlation {line}" for line in _correlated(known)]
+    lines += [f"warning: {line}" for line in known.warnings]
+    return "\n".join([*lines, toml_line(fit)])
+
+
+def toml_line(fit: CurveFit) -> str:
+    """The band as a line of a scene."""
+    v = fit.values
+    if fit.law == "damage":
+        return (
+            f'band = {{ law = "damage", ft = {v["ft"]:.6g}, Ep = {v["Ep"]:.6g}, n = {v["n"]:.6g}, h = {v["h"]:g} }}'
+        )
+    return (
+        f'band = {{ law = "cohesive", curve = "{fit.law}", ft = {v["ft"]:.6g}, GF = {v["GF"]:.6g}, h = 0.01 }}'
+    )
+
+
+def write(fit: CurveFit, directory) -> str:
+    """Write fit.json and fit.png into a folder; returns a line that says so."""
+    directory = Path(directory)
+    directory.mkdir(parents=True, exist_ok=True)
+    (directory / "fit.json").write_text(json.dumps(table(fit), indent=1) + "\n")
+    draw(fit, directory / "fit.png")
+    return f"written to {directory}: fit.json fit.png"
+
+
+def table(fit: CurveFit) -> dict:
+    """All numbers of a fit, for JSON; what is not finite as null."""
+    known = fit.uncertainty
+    finite = lambda x: [_null(float(v)) for v in x]  # noqa: E731
+    return {
+        "law": fit.law, "data": fit.data.name, "points": len(fit.data.w), "parameters": fit.values,
+        "fixed": fit.fixed, "energy_beyond_data": fit.beyond, "residual_norm": fit.residual_norm, "rms": fit.rms,
+        "converged": fit.converged, "steps": fit.steps, "rejected_steps": fit.rejected, "free": known.names,
+        "standard_deviation": finite(known.deviation), "covariance": [finite(r) for r in known.covariance],
+        "correlation": [finite(row) for row in known.correlation],
+        "singular_values": finite(known.singular), "warnings": known.warnings,
+    }  # fmt: skip
+
+
+def draw(fit: CurveFit, path) -> Path:
+    """Data, fitted curve and residuals."""
+    w = np.linspace(0.0, float(fit.data.w.max()), 300)
+    line = (w, np.asarray(traction(fit.law, fit.values, w)))
+    free = ", ".join(f"{name} = {fit.values[name]:.4g}" for name in fit.uncertainty.names)
+    labels = ("opening w [mm]", "stress [MPa]", "residual [MPa]")
+    title = f"{fit.law} fitted to {fit.data.name}: {free}"
+    return plot_fit(path, (fit.data.w, fit.data.sigma), fit.model, labels, title, line)
+
+
+def _null(value):
+    return value if np.isfinite(value) else None
+
+
+def _ended(fit):
+    return f"converged in {fit.steps} steps" if fit.converged else f"NOT converged in {fit.steps} steps"
+
+
+def _correlated(known):
+    count = len(known.names)
+    for i in range(count):
+        for j in range(i):
+            yield f"{known.names[j]}, {known.names[i]}: {known.correlation[i, j]:+.3f}"
