@@ -6,6 +6,7 @@ them to the end with Gauss-Newton.
 """
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import jax
@@ -21,7 +22,7 @@ from jaxmpm.laws.cohesive import CURVES
 
 LAWS = ("damage", *CURVES)
 UNITS = {"ft": "MPa", "Ep": "MPa", "n": "", "GF": "N/mm"}
-STARTS = 12
+STARTS, LINE = 12, 801
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,7 @@ class CurveFit:
     fixed: list[str]
     beyond: float  # share of GF beyond the last point of the curve
     model: np.ndarray  # (m,) MPa
+    line: tuple[np.ndarray, np.ndarray]  # w, mm, and σ, MPa, of the law from 0 to the last point
     residual_norm: float  # MPa, root of the weighted sum of squares
     uncertainty: Uncertainty
     steps: int
@@ -46,6 +48,7 @@ class CurveFit:
         return self.residual_norm / float(np.sqrt(self.data.weight.sum()))
 
 
+@partial(jax.jit, static_argnums=0)
 def traction(law: str, values: dict[str, Any], w):
     """σ, MPa, of a band law at openings w (m,), mm.
 
@@ -116,16 +119,22 @@ def _summary(data, law, parameters, end):
     values = {name: float(value) for name, value in parameters.values(end.theta).items()}
     fixed = sorted(set(values) - set(parameters.names) - {"E", "h"})
     if law == "damage":
-        values["n"] = float(_exponent(values))
-        values["GF"] = float(energy.fracture_energy(*(values[key] for key in ("E", "ft", "Ep", "n", "h"))))
+        values |= {name: float(value) for name, value in _completed(values).items()}
+    w = np.linspace(0.0, float(data.w.max()), LINE)
+    model, line = np.split(np.asarray(traction(law, values, np.r_[data.w, w])), [len(data.w)])
     scale = float(np.max(np.abs(data.sigma) * np.sqrt(data.weight)))
-    w = np.linspace(0.0, float(data.w.max()), 4001)
-    before = float(np.trapezoid(np.asarray(traction(law, values, w)), w))
     return CurveFit(
-        law, data, values, fixed, 1 - before / values["GF"], np.asarray(traction(law, values, data.w)),
+        law, data, values, fixed, 1 - float(np.trapezoid(line, w)) / values["GF"], model, (w, line),
         float(np.sqrt(2 * end.loss)), uncertainty(end, parameters, scale),
         end.steps, end.rejected, end.converged,
     )  # fmt: skip
+
+
+@jax.jit
+def _completed(values):
+    """n and GF of the damage law, whichever was sought."""
+    n = _exponent(values)
+    return {"n": n, "GF": energy.fracture_energy(*(values[key] for key in ("E", "ft", "Ep")), n, values["h"])}
 
 
 def _parameters(data, law, E, h, fix) -> Parameters:

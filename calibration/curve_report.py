@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.curve import UNITS, CurveFit, traction
+from calibration.curve import UNITS, CurveFit
 from calibration.plots import plot_fit
 
 
@@ -29,13 +29,10 @@ def words(fit: CurveFit) -> str:
 def toml_line(fit: CurveFit) -> str:
     """The band as a line of a scene."""
     v = fit.values
+    start = f'band = {{ law = "{"damage" if fit.law == "damage" else "cohesive"}", ft = {v["ft"]:.8g}'
     if fit.law == "damage":
-        return (
-            f'band = {{ law = "damage", ft = {v["ft"]:.6g}, Ep = {v["Ep"]:.6g}, n = {v["n"]:.6g}, h = {v["h"]:g} }}'
-        )
-    return (
-        f'band = {{ law = "cohesive", curve = "{fit.law}", ft = {v["ft"]:.6g}, GF = {v["GF"]:.6g}, h = 0.01 }}'
-    )
+        return f'{start}, Ep = {v["Ep"]:.8g}, n = {v["n"]:.8g}, h = {v["h"]:g} }}'
+    return f'{start}, GF = {v["GF"]:.8g}, curve = "{fit.law}", h = 0.01 }}'
 
 
 def write(fit: CurveFit, directory) -> str:
@@ -63,12 +60,10 @@ def table(fit: CurveFit) -> dict:
 
 def draw(fit: CurveFit, path) -> Path:
     """Data, fitted curve and residuals."""
-    w = np.linspace(0.0, float(fit.data.w.max()), 300)
-    line = (w, np.asarray(traction(fit.law, fit.values, w)))
     free = ", ".join(f"{name} = {fit.values[name]:.4g}" for name in fit.uncertainty.names)
     labels = ("opening w [mm]", "stress [MPa]", "residual [MPa]")
     title = f"{fit.law} fitted to {fit.data.name}: {free}"
-    return plot_fit(path, (fit.data.w, fit.data.sigma), fit.model, labels, title, line)
+    return plot_fit(path, (fit.data.w, fit.data.sigma), fit.model, labels, title, fit.line)
 
 
 def _null(value):

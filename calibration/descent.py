@@ -168,7 +168,7 @@ def _orthogonal(value, jacobian, tolerance):
 
 def lbfgs(loss, theta, steps=100, tolerance=1e-13):
     """L-BFGS of optax on a cheap, compiled loss: theta (k,), and the norm of its gradient."""
-    optimiser = optax.lbfgs()
+    optimiser = optax.lbfgs(memory_size=4)
     evaluate = optax.value_and_grad_from_state(loss)
 
     def going(carry):

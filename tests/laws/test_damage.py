@@ -151,6 +151,21 @@ def test_dissipation_in_closed_form_is_that_of_quadrature(E, ft, Ep, n, h, expec
     assert float(law.given_up(jnp.asarray(300.0), bulk)) == pytest.approx(expected, rel=5e-6)
 
 
+@pytest.mark.parametrize("n", [1e-4, 0.128, 0.3, 0.45, 0.499])
+@pytest.mark.parametrize("dtype, limit", [(np.float64, 1e-8), (np.float32, 3e-5)])
+def test_fracture_energy_is_that_of_quadrature_up_to_n_of_a_half(n, dtype, limit):
+    last = 40 / (1 - 2 * n) + 40  # what is left falls as exp(-(1 - 2n) p)
+    p = np.linspace(0, 1, 400001) ** 3 * last
+    e = 8.184 / 32000
+    ratio = np.log1p(e * np.exp(-n * p)) - np.logaddexp(-p, np.log(e) - n * p)  # ln r̂
+    exact = 0.05 * 9 / 64000 * np.trapezoid(np.exp(2 * ratio - p), p)
+    law, bulk = (
+        jax.tree.map(dtype, tree) for tree in (Damage(3.0, 8.184, n, 0.05), Elastic(32e3, 0.2))
+    )
+    found = jax.jit(lambda law, bulk: law.fracture_energy(bulk))(law, bulk)
+    assert found.dtype == dtype and float(found) == pytest.approx(exact, rel=limit)
+
+
 def test_dissipation_has_the_derivatives_of_differences():
     def given(variables):
         ft, Ep, n, h, E, p = jnp.exp(variables)
