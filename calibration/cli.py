@@ -21,7 +21,10 @@ class Parser(argparse.ArgumentParser):
         options, unknown = self.parse_known_args(arguments)
         if unknown:
             known = [name for name in options.known if name != "-h"]
-            near = did_you_mean(unknown[0].split("=")[0], known)
+            word = unknown[0].split("=")[0]
+            near = next(
+                (name for name in known if name.startswith(word)), did_you_mean(word, known)
+            )
             hint = f"did you mean {near}?" if near else f"expected one of {', '.join(known)}"
             raise SceneError(f"calibrate {options.what}: unknown {unknown[0]} ({hint})")
         return options
@@ -72,14 +75,20 @@ def _add_energy(what):
     part.add_argument("--E", type=positive, required=True, metavar="MPA", help="Young's modulus")
     part.add_argument("--ft", type=positive, required=True, metavar="MPA", help="tensile strength")
     part.add_argument("--GF", type=positive, required=True, metavar="N/MM", help="fracture energy")
-    part.add_argument("--h", type=_width, required=True, metavar="MM", help='width of the band, or "fit"')
+    part.add_argument(
+        "--h", type=_width, required=True, metavar="MM", help='width of the band, or "fit"'
+    )
     part.add_argument(
         "--condition", choices=CONDITIONS, default=CONDITIONS[0],
         help="what the curve obeys besides (default: initial_slope)",
     )  # fmt: skip
-    part.add_argument("--slope-factor", type=positive, help="initial slope over -ft²/GF (default: 2)")
+    part.add_argument(
+        "--slope-factor", type=positive, help="initial slope over -ft²/GF (default: 2)"
+    )
     part.add_argument("--w", type=positive, metavar="MM", help="opening of the point or centroid")
-    part.add_argument("--ratio", type=_share, help="of the point, stress over strength (default: 0.5)")
+    part.add_argument(
+        "--ratio", type=_share, help="of the point, stress over strength (default: 0.5)"
+    )
     part.add_argument("--Ep", type=positive, metavar="MPA", help="of the condition modulus")
     part.add_argument("--json", metavar="FILE", help="write all numbers")
     part.add_argument("--plot", metavar="FILE", help="draw the softening curve (png, pdf, svg)")
@@ -88,12 +97,24 @@ def _add_energy(what):
 
 def _add_curve(what):
     part = what.add_parser("curve", help="a band law from a softening curve", allow_abbrev=False)
-    part.add_argument("file", nargs="?", metavar="FILE", help="CSV with w [mm], sigma [MPa], or a bundled name")
-    part.add_argument("--law", default="damage", choices=("damage", *CURVES), help="default: damage")
-    part.add_argument("--E", type=positive, metavar="MPA", help="Young's modulus, of the damage law")
-    part.add_argument("--h", type=positive, metavar="MM", help="width of the band, of the damage law")
-    part.add_argument("--fix", action="append", default=[], metavar="KEY=VALUE", help="a parameter that is known")
-    part.add_argument("--to", choices=CURVES, help="fit to this law instead of a file, with --ft and --GF")
+    part.add_argument(
+        "file", nargs="?", metavar="FILE", help="CSV with w [mm], sigma [MPa], or a bundled name"
+    )
+    part.add_argument(
+        "--law", default="damage", choices=("damage", *CURVES), help="default: damage"
+    )
+    part.add_argument(
+        "--E", type=positive, metavar="MPA", help="Young's modulus, of the damage law"
+    )
+    part.add_argument(
+        "--h", type=positive, metavar="MM", help="width of the band, of the damage law"
+    )
+    part.add_argument(
+        "--fix", action="append", default=[], metavar="KEY=VALUE", help="a parameter that is known"
+    )
+    part.add_argument(
+        "--to", choices=CURVES, help="fit to this law instead of a file, with --ft and --GF"
+    )
     part.add_argument("--ft", type=positive, metavar="MPA", help="of --to")
     part.add_argument("--GF", type=positive, metavar="N/MM", help="of --to")
     part.add_argument("--out", metavar="DIR", help="write fit.json and fit.png")
@@ -125,14 +146,21 @@ def _energy(options) -> int:
     if options.json:
         energy_report.write_json(result, options.json)
     if options.plot:
-        point = (condition.w, condition.ratio * options.ft) if options.condition == "point" else None
+        point = (
+            (condition.w, condition.ratio * options.ft) if options.condition == "point" else None
+        )
         print(energy_report.draw(result, options.plot, point))
     return 0
 
 
 def _check_condition(options):
     """Each condition has its own options, and no others."""
-    belongs = {"slope_factor": ("initial_slope",), "w": ("point", "centroid"), "ratio": ("point",), "Ep": ("modulus",)}
+    belongs = {
+        "slope_factor": ("initial_slope",),
+        "w": ("point", "centroid"),
+        "ratio": ("point",),
+        "Ep": ("modulus",),
+    }
     for name, conditions in belongs.items():
         given, flag = getattr(options, name), f"--{name.replace('_', '-')}"
         if given is not None and options.condition not in conditions:
@@ -142,7 +170,9 @@ def _check_condition(options):
         if given is None and options.condition in conditions and name in ("w", "Ep"):
             raise SceneError(f"{flag}: absent, expected with --condition {options.condition}")
     if options.h is None and options.condition not in ("point", "centroid"):
-        raise SceneError("--h = fit: expected with --condition point or centroid, and the initial slope")
+        raise SceneError(
+            "--h = fit: expected with --condition point or centroid, and the initial slope"
+        )
 
 
 def _condition(options):

@@ -110,7 +110,9 @@ def fit_curve(data: Curve, law="damage", E=None, h=None, fix=None, show=None) ->
         value, jacobian = many(jnp.tile(theta, (STARTS, 1)))
         return value[0], jacobian[0]
 
-    thetas, losses = descent.adam(slopes, parameters.about(STARTS), 100, show=show, name=parameters.show)
+    thetas, losses = descent.adam(
+        slopes, parameters.about(STARTS), 100, show=show, name=parameters.show
+    )
     end = descent.gauss_newton(one, thetas[jnp.argmin(losses)], show=show, name=parameters.show)
     return _summary(data, law, parameters, end)
 
@@ -134,7 +136,10 @@ def _summary(data, law, parameters, end):
 def _completed(values):
     """n and GF of the damage law, whichever was sought."""
     n = _exponent(values)
-    return {"n": n, "GF": energy.fracture_energy(*(values[key] for key in ("E", "ft", "Ep")), n, values["h"])}
+    return {
+        "n": n,
+        "GF": energy.fracture_energy(*(values[key] for key in ("E", "ft", "Ep")), n, values["h"]),
+    }
 
 
 def _parameters(data, law, E, h, fix) -> Parameters:
@@ -156,7 +161,9 @@ def _parameters(data, law, E, h, fix) -> Parameters:
     _check_fixed(fix, free | {"GF": Free(GF)})
     if law == "damage" and "GF" in fix:  # n follows from it
         if "n" in fix:
-            raise SceneError(f"fix n = {fix['n']:g}: expected n or GF, the one follows from the other")
+            raise SceneError(
+                f"fix n = {fix['n']:g}: expected n or GF, the one follows from the other"
+            )
         del free["n"]
     free = {name: one for name, one in free.items() if name not in fix}
     if not 0 < len(free) <= len(data.w):

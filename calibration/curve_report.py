@@ -15,10 +15,15 @@ def words(fit: CurveFit) -> str:
     lines = [f"{fit.law} fitted to {fit.data.name}, {len(fit.data.w)} points, {_ended(fit)}"]
     for name, deviation in zip(known.names, known.deviation, strict=True):
         lines.append(f"{name:3} = {fit.values[name]:.6g} +- {deviation:.2g} {UNITS[name]}".rstrip())
-    lines += [f"{name:3} = {fit.values[name]:.6g} {UNITS[name]} fixed".replace("  ", " ") for name in fit.fixed]
-    follow = [name for name in UNITS if name in fit.values and name not in (*known.names, *fit.fixed)]
+    lines += [
+        f"{name:3} = {fit.values[name]:.6g} {UNITS[name]} fixed".replace("  ", " ")
+        for name in fit.fixed
+    ]
+    follow = [
+        name for name in UNITS if name in fit.values and name not in (*known.names, *fit.fixed)
+    ]
     lines += [f"{name:3} = {fit.values[name]:.6g} {UNITS[name]} follows" for name in follow]
-    lines.append(f"{100 * fit.beyond:.1f} % of GF lies beyond the last point")
+    lines.append(f"{100 * max(fit.beyond, 0.0):.1f} % of GF lies beyond the last point")
     strength = fit.values["ft"]
     lines.append(f"residual {fit.rms:.3g} MPa rms, {100 * fit.rms / strength:.2g} % of ft")
     lines += [f"correlation {line}" for line in _correlated(known)]
@@ -29,9 +34,11 @@ def words(fit: CurveFit) -> str:
 def toml_line(fit: CurveFit) -> str:
     """The band as a line of a scene."""
     v = fit.values
-    start = f'band = {{ law = "{"damage" if fit.law == "damage" else "cohesive"}", ft = {v["ft"]:.8g}'
+    start = (
+        f'band = {{ law = "{"damage" if fit.law == "damage" else "cohesive"}", ft = {v["ft"]:.8g}'
+    )
     if fit.law == "damage":
-        return f'{start}, Ep = {v["Ep"]:.8g}, n = {v["n"]:.8g}, h = {v["h"]:g} }}'
+        return f"{start}, Ep = {v['Ep']:.8g}, n = {v['n']:.8g}, h = {v['h']:g} }}"
     return f'{start}, GF = {v["GF"]:.8g}, curve = "{fit.law}", h = 0.01 }}'
 
 
@@ -71,7 +78,11 @@ def _null(value):
 
 
 def _ended(fit):
-    return f"converged in {fit.steps} steps" if fit.converged else f"NOT converged in {fit.steps} steps"
+    return (
+        f"converged in {fit.steps} steps"
+        if fit.converged
+        else f"NOT converged in {fit.steps} steps"
+    )
 
 
 def _correlated(known):

@@ -113,7 +113,9 @@ def _settled(state, trial, moments, loss, slope):
     )  # fmt: skip
 
 
-def gauss_newton(evaluate, theta, steps=60, tolerance=1e-9, show: Show | None = None, name=lambda theta: ""):
+def gauss_newton(
+    evaluate, theta, steps=60, tolerance=1e-9, show: Show | None = None, name=lambda theta: ""
+):
     """Gauss-Newton with the damping of Levenberg and Marquardt, to the end.
 
     Args:
@@ -144,7 +146,11 @@ def gauss_newton(evaluate, theta, steps=60, tolerance=1e-9, show: Show | None = 
         else:
             damping, rejected = 10 * damping, rejected + 1
         if show:
-            show(_line(f"Gauss-Newton {count}", value @ value / 2, np.linalg.norm(slope), name(theta)))
+            show(
+                _line(
+                    f"Gauss-Newton {count}", value @ value / 2, np.linalg.norm(slope), name(theta)
+                )
+            )
     return Descent(theta, value, jacobian, count, rejected, bool(converged))
 
 
@@ -178,7 +184,9 @@ def lbfgs(loss, theta, steps=100, tolerance=1e-13):
     def closer(carry):
         theta, _, state, count = carry
         value, slope = evaluate(theta, state=state)
-        update, state = optimiser.update(slope, state, theta, value=value, grad=slope, value_fn=loss)
+        update, state = optimiser.update(
+            slope, state, theta, value=value, grad=slope, value_fn=loss
+        )
         trial = theta + update
         good = jnp.isfinite(trial).all()
         return jnp.where(good, trial, theta), jnp.where(good, slope, 0.0), state, count + 1

@@ -157,7 +157,9 @@ def exponent(e, gamma):
     u = root(miss, -2 * far + 0 * e, far + 0 * e)
     close = jnp.abs(miss(u)) < jnp.sqrt(jnp.finfo(e.dtype).eps)
     brittle = gamma * (1 + e) / e >= 1  # the straight line dissipates more already
-    return 0.5 * jax.nn.sigmoid(u), jnp.where(brittle, TOO_BRITTLE, jnp.where(close, FOUND, NOT_CONVERGED))
+    return 0.5 * jax.nn.sigmoid(u), jnp.where(
+        brittle, TOO_BRITTLE, jnp.where(close, FOUND, NOT_CONVERGED)
+    )
 
 
 def modulus(n, gamma):

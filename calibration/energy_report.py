@@ -51,7 +51,9 @@ def calibrate_energy(E, ft, GF, h=None, condition=InitialSlope()) -> Calibrated:
     """
     E, ft, GF = map(float, (E, ft, GF))
     asked = (E, ft, GF, condition) if h is None else (E, ft, GF, float(h), condition)
-    *found, status = _program(fit_width if h is None else energy.fit_energy, type(condition))(*asked)
+    *found, status = _program(fit_width if h is None else energy.fit_energy, type(condition))(
+        *asked
+    )
     if int(status) != energy.FOUND:
         raise SceneError(refusal(int(status), E, ft, GF, h, condition))
     *width, Ep, n = map(float, found)
@@ -76,7 +78,9 @@ def descend(E, ft, GF, h, condition=InitialSlope()) -> tuple[float, float]:
     """E_p, MPa, and n by gradient descent: optax's Adam, then its L-BFGS, on ln E_p and logit n."""
     top = 1 / 3 if isinstance(condition, Centroid) else 0.5
     parameters = Parameters({"Ep": Free(2 * h * ft**2 / GF), "n": Free(0.3 * top, 0.0, top)})
-    residual = partial(_missed, Given(*(jnp.asarray(float(x)) for x in (E, ft, GF, h))), condition, parameters)
+    residual = partial(
+        _missed, Given(*(jnp.asarray(float(x)) for x in (E, ft, GF, h))), condition, parameters
+    )
     evaluate = jax.jit(descent.with_slope(residual))
     theta, _ = descent.adam(evaluate, parameters.start(), steps=150)
     theta, _ = descent.lbfgs(lambda theta: (residual(theta) ** 2).sum() / 2, theta)
@@ -99,7 +103,9 @@ def _notes(E, ft, GF, h, condition):
     if h is None:
         log_h = lambda w: jnp.log(fit_width(E, ft, GF, _at(condition, w)).h)  # noqa: E731
         change = jax.jit(jax.jacfwd(log_h))(condition.w)
-        notes.append(f"h is sensitive: 1 % in w changes it by {abs(float(change)) * condition.w:.0f} %")
+        notes.append(
+            f"h is sensitive: 1 % in w changes it by {abs(float(change)) * condition.w:.0f} %"
+        )
     return tuple(notes)
 
 
@@ -129,7 +135,9 @@ def words(result: Calibrated) -> str:
 def toml_line(result: Calibrated) -> str:
     """The band as a line of a scene."""
     r = result
-    return f'band = {{ law = "damage", ft = {r.ft:g}, Ep = {r.Ep:.8g}, n = {r.n:.8g}, h = {r.h:.8g} }}'
+    return (
+        f'band = {{ law = "damage", ft = {r.ft:g}, Ep = {r.Ep:.8g}, n = {r.n:.8g}, h = {r.h:.8g} }}'
+    )
 
 
 def write_json(result: Calibrated, path) -> None:
@@ -145,7 +153,11 @@ def curve_of(result: Calibrated, count: int = 400) -> tuple[np.ndarray, np.ndarr
     p = jnp.concatenate([jnp.zeros(1), jnp.geomspace(1e-3, 60.0, 4 * count)])
     stress = np.asarray(energy.curve.stress(p, e, n)) * result.ft
     opening = np.asarray(energy.curve.opening(p, e, n)) * result.h * result.ft / result.E
-    last = opening[np.argmax(stress < 0.02 * result.ft)] if (stress < 0.02 * result.ft).any() else opening[-1]
+    last = (
+        opening[np.argmax(stress < 0.02 * result.ft)]
+        if (stress < 0.02 * result.ft).any()
+        else opening[-1]
+    )
     w = np.linspace(0.0, last, count)
     return w, np.interp(w, opening, stress)
 

@@ -51,16 +51,22 @@ class Parameters:
 
     def theta(self, values: Mapping[str, float]):
         """theta (k,) of values."""
-        return jnp.stack([jnp.asarray(f.inward(values[name]), float) for name, f in self.free.items()])
+        return jnp.stack(
+            [jnp.asarray(f.inward(values[name]), float) for name, f in self.free.items()]
+        )
 
     def values(self, theta) -> dict:
         """All parameters, fixed ones too, of theta (k,)."""
-        found = {name: one.outward(x) for (name, one), x in zip(self.free.items(), theta, strict=True)}
+        found = {
+            name: one.outward(x) for (name, one), x in zip(self.free.items(), theta, strict=True)
+        }
         return self.fixed | found
 
     def relative(self, theta):
         """d ln(value)/d theta of the free parameters (k,): what a step is, as a share of the value."""
-        return jnp.stack([one.relative(x) for one, x in zip(self.free.values(), theta, strict=True)])
+        return jnp.stack(
+            [one.relative(x) for one, x in zip(self.free.values(), theta, strict=True)]
+        )
 
     def about(self, count: int, spread: float = 0.7, seed: int = 0):
         """Starts (count, k): the given one, and others at random around it."""

@@ -55,7 +55,9 @@ def plot_softening(path, w, stress, ft, GF, slope, title="", point=None) -> Path
             where = f"point {point[0]:.4g} mm, {point[1]:.4g} MPa"
             axes.plot(*point, "o", ms=6, mfc="white", mec=ACCENT, mew=1.4, label=where)
         axes.legend(frameon=False)
-        axes.set(xlim=(0, w[-1]), ylim=(0, 1.06 * ft), xlabel="opening w [mm]", ylabel="stress [MPa]")
+        axes.set(
+            xlim=(0, w[-1]), ylim=(0, 1.06 * ft), xlabel="opening w [mm]", ylabel="stress [MPa]"
+        )
         axes.set_title(title, loc="left", fontsize=10, fontweight="bold")
         axes.spines[["top", "right"]].set_visible(False)
         return plot_style.save(figure, Path(path))

@@ -54,12 +54,16 @@ def _path(source):
     names = sorted(file.stem for file in DATA.glob("*.csv"))
     if path.exists() or path.suffix:
         if not path.is_file():
-            raise SceneError(f"{source}: no such file, expected a CSV file or one of {', '.join(names)}")
+            raise SceneError(
+                f"{source}: no such file, expected a CSV file or one of {', '.join(names)}"
+            )
         return path
     if str(source) not in names:
         near = did_you_mean(source, names)
         hint = f" (did you mean {near}?)" if near else ""
-        raise SceneError(f"{source}: no such file, expected a CSV file or one of {', '.join(names)}{hint}")
+        raise SceneError(
+            f"{source}: no such file, expected a CSV file or one of {', '.join(names)}{hint}"
+        )
     return DATA / f"{source}.csv"
 
 
@@ -75,7 +79,9 @@ def _columns(source, header) -> dict[str, int]:
         found[name] = place
     missing = [f"{name} [{UNITS[name]}]" for name in ("w", "sigma") if name not in found]
     if missing:
-        raise SceneError(f"{source}: header {header.strip()[:60]!r}: expected a column {' and a column '.join(missing)}")
+        raise SceneError(
+            f"{source}: header {header.strip()[:60]!r}: expected a column {' and a column '.join(missing)}"
+        )
     return found
 
 

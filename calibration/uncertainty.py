@@ -55,7 +55,11 @@ def _undetermined(names, singular, rows, error):
         share = error / strength if strength > 0 else np.inf
         if share > LIMIT:
             row = row * np.sign(row[np.argmax(np.abs(row))])
-            parts = [f"{name}^{power:.2f}" for name, power in zip(names, row, strict=True) if abs(power) > 0.1]
+            parts = [
+                f"{name}^{power:.2f}"
+                for name, power in zip(names, row, strict=True)
+                if abs(power) > 0.1
+            ]
             size = f"{100 * share:.0f} %" if share < 10 else "more than a factor of 10"
             lines.append(f"not determined by these data: {' '.join(parts)} is free within {size}")
     return lines

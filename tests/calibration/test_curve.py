@@ -35,7 +35,9 @@ def test_openings_of_the_uniaxial_curve():
 def test_stress_at_an_opening_has_the_derivatives_of_differences():
     w = np.array([0.0, 0.01, 0.1, 3.0])
     at = jnp.log(jnp.array([3.0, 8.184, 0.128]))
-    stress = jax.jit(lambda x: traction("damage", SET | dict(zip(("ft", "Ep", "n"), jnp.exp(x), strict=True)), w))
+    stress = jax.jit(
+        lambda x: traction("damage", SET | dict(zip(("ft", "Ep", "n"), jnp.exp(x), strict=True)), w)
+    )
     exact = jax.jit(jax.jacfwd(stress))(at)
     for k, unit in enumerate(np.eye(3) * 1e-5):
         quotient = (stress(at + unit) - stress(at - unit)) / 2e-5
@@ -44,10 +46,14 @@ def test_stress_at_an_opening_has_the_derivatives_of_differences():
 
 def test_known_parameters_are_recovered():
     lines = []
-    fit = fit_curve(points("damage", SET, np.linspace(0, 0.1, 30)), E=32000, h=0.05, show=lines.append)
+    fit = fit_curve(
+        points("damage", SET, np.linspace(0, 0.1, 30)), E=32000, h=0.05, show=lines.append
+    )
     for name in ("ft", "Ep", "n"):
         assert fit.values[name] == pytest.approx(SET[name], rel=1e-6)
-    assert fit.converged and fit.rms < 1e-8 and fit.values["GF"] == pytest.approx(0.110036, rel=1e-5)
+    assert (
+        fit.converged and fit.rms < 1e-8 and fit.values["GF"] == pytest.approx(0.110036, rel=1e-5)
+    )
     assert any("Adam" in line for line in lines) and any("Gauss-Newton" in line for line in lines)
     assert all("loss" in line and "|gradient|" in line and "Ep = " in line for line in lines)
 
@@ -55,7 +61,9 @@ def test_known_parameters_are_recovered():
 def test_with_the_fracture_energy_fixed_n_follows(tmp_path, figures):
     fix = {"ft": 3.0, "GF": 0.110036}
     fit = fit_curve(points("damage", SET, np.linspace(0, 0.1, 30)), E=32000, h=0.05, fix=fix)
-    assert fit.values["Ep"] == pytest.approx(8.184, rel=1e-4) and fit.values["n"] == pytest.approx(0.128, rel=1e-4)
+    assert fit.values["Ep"] == pytest.approx(8.184, rel=1e-4) and fit.values["n"] == pytest.approx(
+        0.128, rel=1e-4
+    )
     p = np.linspace(0, 1, 100001) ** 2 * 400
     s, q = np.exp(-p), 8.184 / 32000 * np.exp(-0.128 * p)
     stress = 3 * s * (1 + q) / (s + q)
@@ -64,7 +72,9 @@ def test_with_the_fracture_energy_fixed_n_follows(tmp_path, figures):
     assert fit.beyond == pytest.approx(beyond, abs=1e-4)
     assert "GF = 0.110036 N/mm fixed" in curve_report.words(fit)
     curve_report.write(fit, tmp_path)
-    assert (tmp_path / "fit.png").stat().st_size > 5000 and "Ep" in (tmp_path / "fit.json").read_text()
+    assert (tmp_path / "fit.png").stat().st_size > 5000 and "Ep" in (
+        tmp_path / "fit.json"
+    ).read_text()
     above, below = figures[0].axes
     assert "residual" in below.get_ylabel() and len(above.lines) == 2
 
@@ -132,7 +142,9 @@ def test_bundled_curves_are_their_formulae(name):
     assert np.trapezoid(data.sigma, data.w) == pytest.approx(0.11, rel=2e-3)
     law = {"hordijk_1991": "hordijk", "petersson_1981": "bilinear"}.get(name)
     if law:
-        np.testing.assert_allclose(data.sigma, traction(law, {"ft": 3.0, "GF": 0.11}, data.w), atol=2e-4)
+        np.testing.assert_allclose(
+            data.sigma, traction(law, {"ft": 3.0, "GF": 0.11}, data.w), atol=2e-4
+        )
 
 
 def test_a_law_is_sampled_down_to_one_per_cent():
@@ -165,6 +177,10 @@ def test_a_bad_file_is_refused_in_one_line(tmp_path, content, parts):
 
 def test_too_little_to_find_anything_is_refused():
     data = Curve(np.array([0.0, 0.01]), np.array([3.0, 2.0]), np.ones(2), "two")
-    for change, part in (({}, "3 parameters"), ({"fix": {"n": 0.7}}, "between 0 and 0.5"), ({"h": None}, "h (mm)")):
+    for change, part in (
+        ({}, "3 parameters"),
+        ({"fix": {"n": 0.7}}, "between 0 and 0.5"),
+        ({"h": None}, "h (mm)"),
+    ):
         with pytest.raises(SceneError, match=part.replace("(", r"\(").replace(")", r"\)")):
             fit_curve(data, **({"E": 32000, "h": 0.05} | change))

@@ -32,7 +32,9 @@ def test_the_published_pair_and_what_follows_from_it(concrete):
     assert concrete.h_gF == pytest.approx(0.11, rel=1e-12)
     assert concrete.k == pytest.approx(2 * 0.05 * 9 / 0.11, rel=1e-12)
     assert concrete.H_max == pytest.approx(32000 * 0.11 / (2 * 9), rel=1e-12)
-    assert 'band = { law = "damage", ft = 3, Ep = 8.1839107, n = 0.12797352, h = 0.05 }' in words(concrete)
+    assert 'band = { law = "damage", ft = 3, Ep = 8.1839107, n = 0.12797352, h = 0.05 }' in words(
+        concrete
+    )
 
 
 def test_descent_finds_the_same(concrete):
@@ -48,7 +50,11 @@ def test_the_curve_has_the_area_and_slope_that_were_asked_for(concrete):
 
 def test_second_example_obeys_another_slope_but_is_found_back():
     """Table 1 of the paper: E_p given, n from the implied G_F; or from the factor of its slope."""
-    E, ft, Ep = np.array([45e3, 30e3, 30e3]), np.array([3.0, 2.0, 1.5]), np.array([10.0, 10.0, 20.0])
+    E, ft, Ep = (
+        np.array([45e3, 30e3, 30e3]),
+        np.array([3.0, 2.0, 1.5]),
+        np.array([10.0, 10.0, 20.0]),
+    )
     GF, h = np.array([0.0185721, 0.00755607, 0.00182723]), np.full(3, 0.005)
     fit = jax.jit(jax.vmap(fit_energy))
     found = fit(E, ft, GF, h, Modulus(Ep))
@@ -71,7 +77,9 @@ def test_a_thousand_random_sets_are_solved_or_refused_for_the_right_reason():
     expected = np.where(h * ft**2 / (2 * E * GF) >= 1, energy.ELASTIC, expected)
     assert (status == expected).all() and (status == energy.FOUND).sum() > 900
     good = status == energy.FOUND
-    np.testing.assert_allclose(energy.fracture_energy(E, ft, fit.Ep, fit.n, h)[good], GF[good], rtol=1e-9)
+    np.testing.assert_allclose(
+        energy.fracture_energy(E, ft, fit.Ep, fit.n, h)[good], GF[good], rtol=1e-9
+    )
     assert np.isnan(fit.Ep[~good]).all() and ((fit.n[good] > 0) & (fit.n[good] < 0.5)).all()
 
 
@@ -90,7 +98,9 @@ def test_derivatives_are_those_of_central_differences():
 
 def test_a_centre_of_gravity_is_met_with_the_derivative_in_GF():
     E, ft, GF, h = CONCRETE
-    fit = jax.jit(lambda GF: jax.jvp(lambda G: fit_energy(E, ft, G, h, Centroid(0.035)), (GF,), (1.0,)))
+    fit = jax.jit(
+        lambda GF: jax.jvp(lambda G: fit_energy(E, ft, G, h, Centroid(0.035)), (GF,), (1.0,))
+    )
     found, change = fit(GF)
     w, stress = plain_curve(E, ft, float(found.Ep), float(found.n), h)
     assert found.status == energy.FOUND and np.trapezoid(stress, w) == pytest.approx(GF, rel=1e-6)
@@ -111,13 +121,17 @@ def test_the_width_is_found_from_a_slope_and_a_point(concrete):
     e, n = jnp.asarray(concrete.Ep / 32000), jnp.asarray(concrete.n)
     w = float(damage_curve.opening_at(0.5, e, n)) * 0.05 * 3 / 32000
     found = jax.jit(fit_width)(32000.0, 3.0, 0.11, Point(w))
-    assert found.h == pytest.approx(0.05, rel=1e-8) and found.n == pytest.approx(concrete.n, rel=1e-8)
+    assert found.h == pytest.approx(0.05, rel=1e-8) and found.n == pytest.approx(
+        concrete.n, rel=1e-8
+    )
 
 
 def test_single_precision_is_kept_and_good_to_its_digits():
     found = jax.jit(fit_energy)(*map(jnp.float32, CONCRETE))
     assert found.Ep.dtype == jnp.float32 and found.status == energy.FOUND
-    assert found.Ep == pytest.approx(8.18391, rel=1e-5) and found.n == pytest.approx(0.1279735, rel=1e-4)
+    assert found.Ep == pytest.approx(8.18391, rel=1e-5) and found.n == pytest.approx(
+        0.1279735, rel=1e-4
+    )
 
 
 @pytest.mark.parametrize(
@@ -125,8 +139,16 @@ def test_single_precision_is_kept_and_good_to_its_digits():
     [
         ({"h": 200.0}, InitialSlope(), ["h = 200", "below", "195.6 mm", "steeper"]),
         ({"GF": 1e-6}, InitialSlope(), ["GF = 1e-06", "above", "7.031e-06", "elastic"]),
-        ({"GF": np.nan, "h": -1.0}, InitialSlope(), ["GF = nan", "h = -1", "finite number above 0"]),
-        ({}, InitialSlope(0.4), ["slope-factor = 0.4", "above 0.5", "GF = 0.11", "(0.1375, infinity)"]),
+        (
+            {"GF": np.nan, "h": -1.0},
+            InitialSlope(),
+            ["GF = nan", "h = -1", "finite number above 0"],
+        ),
+        (
+            {},
+            InitialSlope(0.4),
+            ["slope-factor = 0.4", "above 0.5", "GF = 0.11", "(0.1375, infinity)"],
+        ),
         ({}, Modulus(1.0), ["GF = 0.11", "Ep = 1 MPa", "(0.225007, infinity)"]),
         ({}, Point(0.05), ["w = 0.05", "0.03667 mm", "ratio = 0.5", "GF = 0.11"]),
     ],
@@ -137,4 +159,3 @@ def test_a_refusal_names_the_value_and_what_was_expected(change, condition, part
         calibrate_energy(**given, condition=condition)
     assert len(refused.value.lines) == 1
     assert all(part in str(refused.value) for part in parts), str(refused.value)
-
