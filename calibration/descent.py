@@ -174,7 +174,9 @@ def _orthogonal(value, jacobian, tolerance):
 
 def lbfgs(loss, theta, steps=100, tolerance=1e-13):
     """L-BFGS of optax on a cheap, compiled loss: theta (k,), and the norm of its gradient."""
-    optimiser = optax.lbfgs(memory_size=4)
+    optimiser = optax.lbfgs(
+        memory_size=4, linesearch=optax.scale_by_backtracking_linesearch(20, store_grad=True)
+    )
     evaluate = optax.value_and_grad_from_state(loss)
 
     def going(carry):
