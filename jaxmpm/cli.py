@@ -143,6 +143,8 @@ def report(summary: dict, directory) -> str:
             f"peak {summary['peak_load'] / 1e3:.3f} kN at {summary['displacement_at_peak']:.4f} mm, "
             f"{summary['final_load'] / 1e3:.3f} kN at the end ({summary['final_displacement']:.4f} mm)"
         )
+    if summary.get("reference_inside") is not None:
+        lines.append(f"{summary['reference_inside']:.0%} of the curve inside {summary['reference']}")
     lines += [
         f"{summary['cracked']} of {summary['cells']} cells cracked, "
         f"energy error {summary['energy_error']:.1e}",

@@ -12,18 +12,22 @@ from jaxmpm import plot_style
 from jaxmpm.plot_body import directions
 from jaxmpm.plot_fields import find_field
 from jaxmpm.plot_frame import draw_bar, draw_frame, load_frame, scale_of
-from jaxmpm.plot_style import ACCENT, DPI, INK, STYLE, frame_axes, stopped_early, styled_figure, title
-from jaxmpm.results import ResultError, read_history, read_summary, read_units
+from jaxmpm.plot_style import ACCENT, BAND, DPI, FAINT, INK, STYLE, frame_axes, stopped_early, styled_figure, title
+from jaxmpm.results import ResultError, read_history, read_reference, read_summary, read_units
 from jaxmpm.vtkhdf import read_frames
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from jaxmpm.reference import Reference
+
 __all__ = ["DPI", "STYLE", "picture_name", "plot_cracks", "plot_response", "read_summary"]
 
 
 def plot_response(directory: str | os.PathLike, path: str | os.PathLike | None = None) -> Path:
-    """Draw load against displacement, with the peak marked, and return the picture's path.
+    """Draw load against displacement, with the peak marked and what was measured behind it.
+
+    Returns the picture's path.
 
     `directory`: of a run; `path`: of the picture (.png, .pdf, .svg), response.png in the directory
     if None. Raises ResultError where the results are missing or lack the response's gauges.
@@ -38,6 +42,8 @@ def plot_response(directory: str | os.PathLike, path: str | os.PathLike | None =
     with styled_figure() as figure:
         figure.set_size_inches(6.4, 4.4)
         axes = figure.add_axes((0.11, 0.12, 0.86, 0.78))
+        if summary.get("reference"):
+            _draw_reference(axes, read_reference(directory), factor)
         single = len(load) == 1
         axes.plot(displacement, load * factor, color=INK, lw=1.4, marker="." if single else None)
         axes.set_xlabel(_label(names["displacement"], displacement_unit))
@@ -132,6 +138,19 @@ def _load_scale(load: np.ndarray, unit: str) -> tuple[float, str]:
 def _label(name: str, unit: str) -> str:
     # A dollar sign in a name would start Matplotlib's mathematics.
     return f"{name.replace('_', ' ')} [{unit}]".replace(" []", "").replace("$", r"\$")
+
+
+def _draw_reference(axes: Axes, reference: Reference | None, factor: float) -> None:
+    """What was measured, grey and behind all else: a band, or one curve."""
+    if reference is None:
+        return
+    label = reference.file.replace("$", r"\$") or "reference"
+    edges = [np.array(line) * factor for line in reference.loads]
+    if reference.is_band:
+        axes.fill_between(reference.displacement, *edges, color=BAND, lw=0, zorder=1, label=label)
+    else:
+        axes.plot(reference.displacement, *edges, color=FAINT, lw=1.4, ls="--", zorder=1, label=label)
+    axes.legend(loc="upper right", frameon=False)
 
 
 def _mark_peak(axes: Axes, x: float, y: float, text: str) -> None:

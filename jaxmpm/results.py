@@ -15,6 +15,8 @@ from typing import Any
 import h5py
 import numpy as np
 
+from jaxmpm.reference import Reference
+
 RESTART_FORMAT = "jaxmpm restart"
 RESTART_VERSION = 1
 SUMMARY = "summary.json"
@@ -133,14 +135,30 @@ def read_summary(directory: str | os.PathLike) -> dict[str, Any]:
 
     Raises ResultError where it is missing or is not a JSON object.
     """
-    path = Path(directory) / SUMMARY
+    return _read_object(Path(directory) / SUMMARY)
+
+
+def read_reference(directory: str | os.PathLike) -> Reference | None:
+    """What was measured, of the scene of the directory's run; None where it gave nothing.
+
+    Raises ResultError where scene.json is missing or holds something else.
+    """
+    path = Path(directory) / "scene.json"
+    given = (_read_object(path).get("response") or {}).get("reference")
     try:
-        summary = json.loads(_bytes(path))
+        return given and Reference.model_validate(given)
+    except ValueError as error:
+        raise ResultError(f"{path}: response.reference is broken; run the scene again") from error
+
+
+def _read_object(path: Path) -> dict[str, Any]:
+    try:
+        tree = json.loads(_bytes(path))
     except ValueError as error:
         raise ResultError(f"{path}: not JSON ({error}); run the scene again") from error
-    if not isinstance(summary, dict):
+    if not isinstance(tree, dict):
         raise ResultError(f"{path}: not a JSON object; run the scene again")
-    return summary
+    return tree
 
 
 def save_restart(

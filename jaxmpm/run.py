@@ -293,10 +293,14 @@ class Recorder:
         if scene.response and self.rows:
             load, displacement = self.response()
             peak = int(np.nanargmax(np.abs(load))) if np.isfinite(load).any() else 0
-            out["response"] = scene.response.model_dump()
+            out["response"] = scene.response.model_dump(include={"load", "displacement"})
             out["load_unit"] = "N"
             out |= {"peak_load": load[peak], "displacement_at_peak": displacement[peak]}
             out |= {"final_load": load[-1], "final_displacement": displacement[-1]}
+            if reference := scene.response.reference:
+                out["reference"] = reference.file
+                if reference.is_band:
+                    out["reference_inside"] = reference.share_inside(displacement, load)
         out |= {name: last.get(name) for name in (*ENERGIES, "energy_error", "time")}
         worst = max((abs(row[-2]) for row in self.rows), default=None)
         return out | {

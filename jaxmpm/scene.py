@@ -9,6 +9,7 @@ from pydantic import Field, ValidationError, ValidationInfo, field_validator
 from jaxmpm import scene_check, scene_source
 from jaxmpm.errors import SceneError, written
 from jaxmpm.materials import Material
+from jaxmpm.reference import Reference, find_reference
 from jaxmpm.shapes import Number, Pair, Positive, Shape, Table, cosines
 
 Count = Annotated[int, Field(strict=True)]
@@ -184,6 +185,9 @@ class Response(Table):
 
     load: str = Field(description="name of a reaction gauge")
     displacement: str = Field(description="name of a displacement gauge")
+    reference: Reference | None = Field(
+        None, description="what was measured, a CSV file beside the scene or its numbers"
+    )
 
 
 class Bands(Table):
@@ -352,6 +356,7 @@ def load_scene(source: str | Path, overrides: Sequence[str] = ()) -> Scene:
     tree = scene_source.override(scene_source.read(path), overrides)
     tree.setdefault("name", path.stem)
     scene_source.find_own_laws(tree, path.parent)
+    find_reference(tree, path.parent)
     return Scene.from_dict(tree)
 
 
