@@ -119,7 +119,7 @@ def test_a_parameter_out_of_range_shows_what_was_written_and_its_value():
 
 def test_an_unknown_scene_gets_a_suggestion():
     (line,) = lines_of("den_4")
-    assert line.startswith('scene = "den_4": expected a TOML file or one of bar, brazil, cantilever, den, den_4a, discs, open')
+    assert line.startswith('scene = "den_4": expected a TOML file or one of bar, beam, brazil, cantilever, den, den_4a, discs, open')
     assert 'did you mean "den_4a"?' in line
 
 
