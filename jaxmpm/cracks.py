@@ -20,7 +20,7 @@ import numpy as np
 from jax import lax
 
 from jaxmpm import bands, tensor
-from jaxmpm.explicit import PRECISION, most_critical, normals
+from jaxmpm.explicit import PRECISION, averaged, most_critical
 from jaxmpm.laws import band as band_law
 from jaxmpm.laws.elastic import Elastic
 from jaxmpm.laws.finite import plus_one, rotation, strain_in, turned, turned_stress
@@ -221,7 +221,7 @@ def _open(model, points, pool, cells, new):
     new = group.some
     one, released = group.merged(model)
     turn = rotation(one["gradient"])
-    spatial = normals(mean, cells, c.normal_window)
+    spatial = tensor.first_principal_direction(averaged(mean, cells, c.normal_window))
     normal = jnp.stack([sum(turn[i, j] * spatial[i] for i in range(2)) for j in range(2)])
     side = jnp.sqrt(one["volume"] / c.thickness)
     size = bands.effective_size(c.effective_size, normal, jnp.where(new, side, cell))

@@ -1,21 +1,27 @@
 """The explicit step in the total frame, and the loop over it.
 
 One step, in the order of the textbooks: strain from displacement, stress (intact cells, then
-bands), internal force, acceleration, velocity, displacement; cells that reach onset get a
-band for the next step. `step` is a pure function of pytrees.
+bands), cells that have reached onset get a band, internal force, acceleration, velocity,
+displacement. `step` is a pure function of pytrees.
+
+Steps are discrete and onset is not: a cell cracks somewhere within a step, and what its band keeps
+of that moment (normal, onset strain) is taken there, between the step and the one before. So the
+answer depends smoothly on the parameters, and its derivative knows that a stronger cell cracks later.
 """
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 
 from jaxmpm import bands, grid, tensor
 from jaxmpm.grid import CellStress
 from jaxmpm.laws import band as band_law
-from jaxmpm.model import Model, State, cell_strain_vectors, fields
+from jaxmpm.model import Model, State, cell_strain_vectors, fields, undamped_time_step
 
 PRECISION = 1e-5  # traction left over in a band, as a share of its strength
 ROOM = 64  # the most cells that crack in one step; more wait for the next, most critical first
+LETTING_GO = 20.0  # steps in which a cracked cell gives up most of its hourglass stiffness
 
 
 def step(model: Model, state: State, dt) -> State:
@@ -43,29 +49,47 @@ def needs_room(state):
 def _step(model, prepared, state, dt):
     n = model.numerics
     strain = grid.strain(state.displacement, n.cell)
-    elastic = intact_stress(prepared, state.intact, strain, n.size)
+    elastic = intact_stress(prepared, state, strain, n.size)
     if not n.cracks:
         plane = elastic._replace(mean=elastic.mean[:3])
-        force = grid.internal_force(plane, n.cell, n.thickness)
-        return _move(model, prepared, state, force, dt)._replace(step=state.step + 1)
+        return _move(model, prepared, state, plane, dt)._replace(step=state.step + 1)
     flat = tuple(component.reshape(-1) for component in strain.mean)
     pool, failed = bands.solve(
         state.pool, model.embedding, model.material.reshape(-1), flat, n.size, PRECISION
     )
     stress = with_bands(elastic, state.place, pool.stress)
-    force = grid.internal_force(stress, n.cell, n.thickness)
-    moved = _move(model, prepared, state, force, dt)
-    opened = _open(model, prepared, moved._replace(pool=pool), elastic, stress, strain)
-    return opened._replace(step=state.step + 1, failed=failed)
+    cracked = _open(model, prepared, state, pool, elastic, stress, strain, dt)
+    cracked, given_up = _let_go(n, prepared, state, cracked, strain.hourglass, dt)
+    stiffness = grid.hourglass_stiffness(prepared.direct, prepared.shear) * cracked.grip
+    stress = stress._replace(hourglass=tuple(stiffness * q for q in strain.hourglass))
+    moved = _move(model, prepared, cracked, stress, dt)
+    ledger = moved.work._replace(released=moved.work.released + given_up)
+    return moved._replace(step=state.step + 1, failed=failed, work=ledger)
 
 
-def intact_stress(prepared, intact, strain, size):
+def _let_go(n, prepared, state, cracked, modes, dt):
+    """Cracked cells with less of their hourglass stiffness, and the energy (N·mm) given up by that.
+
+    A band answers the mean strain alone. What the hourglass modes bear at onset goes over some
+    steps: at once it would start waves, which say little of the material and much of the mesh.
+    """
+    keep = jnp.asarray(np.exp(-1 / LETTING_GO), cracked.grip.dtype)
+    old = state.intact * (1 - cracked.intact)  # those that crack now have let go a little already
+    grip = jnp.where(cracked.intact + old > 0, cracked.grip, keep * cracked.grip)
+    stiffness = grid.hourglass_stiffness(prepared.direct, prepared.shear)
+    rates = grid.strain(state.velocity, n.cell).hourglass  # twice the energy half a step ago:
+    product = sum(q * (q - dt * rate) for q, rate in zip(modes, rates, strict=True))
+    energy = stiffness * product * (0.5 * n.thickness)
+    return cracked._replace(grip=grip), jnp.vdot(state.grip - grip, energy)
+
+
+def intact_stress(prepared, state, strain, size):
     """Stress of the uncracked cells, zero elsewhere; with size 4 the zz stress is last of mean."""
     xx, yy, xy = strain.mean
-    direct, cross = prepared.direct * intact, prepared.cross * intact
-    shear = prepared.shear * intact
+    direct, cross = prepared.direct * state.intact, prepared.cross * state.intact
+    shear = prepared.shear * state.intact
     mean = (direct * xx + cross * yy, cross * xx + direct * yy, shear * xy)
-    stiffness = grid.hourglass_stiffness(direct, shear)
+    stiffness = grid.hourglass_stiffness(prepared.direct, prepared.shear) * state.grip
     if size == 4:
         mean = (*mean, cross * (xx + yy))
     return CellStress(mean, tuple(stiffness * q for q in strain.hourglass))
@@ -78,13 +102,20 @@ def with_bands(elastic, place, stress):
     return elastic._replace(mean=tuple(put(*pair) for pair in mean))
 
 
-def _move(model, prepared, state, internal, dt):
+def _move(model, prepared, state, stress, dt):
     """Integrate the motion and book the work of the loads and of the damping."""
+    n = model.numerics
     time, after = state.step * dt, (state.step + 1) * dt  # of the forces; of the new positions
+    internal = grid.internal_force(stress, n.cell, n.thickness)
     external = external_force(model, prepared.mass, time).reshape(-1)
-    out_of_balance = external.reshape(internal.shape) - internal
-    damping = model.damping * jnp.abs(out_of_balance) * jnp.sign(state.velocity)
-    velocity = state.velocity + (dt * prepared.mobility) * (out_of_balance - damping)
+    push, lost = external.reshape(internal.shape) - internal, 0.0
+    if model.damping is not None:
+        damping = model.damping * jnp.abs(push) * jnp.sign(state.velocity)
+        push = push - damping
+    if model.viscosity is not None:
+        viscous, lost = _viscous(model, prepared, state, dt)
+        push = push - viscous
+    velocity = state.velocity + (dt * prepared.mobility) * push
     flat = velocity.reshape(-1)
     for load in model.displacements:
         target = load.at(after)
@@ -92,17 +123,36 @@ def _move(model, prepared, state, internal, dt):
     velocity = flat.reshape(velocity.shape)
     moved = (0.5 * dt) * (state.velocity + velocity)
     work = jnp.vdot(external.reshape(internal.shape) * model.free, moved)
+    if model.viscosity is not None:
+        internal = internal + viscous
     for load in model.displacements:
         take = lambda a: a.reshape(-1)[load.dofs]  # noqa: B023, E731
         mass = jnp.broadcast_to(prepared.mass, internal.shape)
         inertia = take(mass) * (take(velocity) - take(state.velocity)) / dt
         work += (take(internal) + inertia) @ take(moved)
-    lost = jnp.vdot(damping * model.free, moved)
+    if model.damping is not None:
+        lost += jnp.vdot(damping * model.free, moved)
     ledger = state.work._replace(
         external=state.work.external + work, damping=state.work.damping + lost
     )
     displacement = state.displacement + dt * velocity
     return state._replace(displacement=displacement, velocity=velocity, work=ledger)
+
+
+def _viscous(model, prepared, state, dt):
+    """Nodal forces of the viscosity of intact cells, and the work (N·mm) that they take in a step.
+
+    The stress is 2ξ/ω times that of the rate of strain, ω = 2/Δt_s the highest frequency: the
+    share ξ of critical damping there, less in proportion at lower ones, and none of a rigid motion.
+    """
+    n = model.numerics
+    rate = grid.strain(state.velocity, n.cell)
+    stress = intact_stress(prepared, state, rate, 3)
+    time = model.viscosity * undamped_time_step(model)
+    stress = grid.CellStress(*(tuple(time * s for s in part) for part in stress))
+    power = sum(jnp.vdot(s, e) for s, e in zip(stress.mean, rate.mean, strict=True)) * n.cell**2
+    power += sum(jnp.vdot(s, q) for s, q in zip(stress.hourglass, rate.hourglass, strict=True))
+    return grid.internal_force(stress, n.cell, n.thickness), power * n.thickness * dt
 
 
 def external_force(model, mass, time):
@@ -121,37 +171,46 @@ def onset_ratio(prepared, elastic, size):
     return prepared.embedding.law.onset(stress, prepared.embedding.bulk)
 
 
-def _open(model, prepared, state, elastic, stress, strain):
-    """Give a band to every intact cell that has reached onset."""
+def _open(model, prepared, state, pool, elastic, stress, strain, dt):
+    """The state with this pool, and a band for every intact cell that has reached onset."""
     n = model.numerics
     ratio = onset_ratio(prepared, elastic, n.size)
     # a matrix-vector product counts several times faster than a reduction of booleans
-    critical = (ratio >= 1).astype(ratio.dtype)
+    critical = (lax.stop_gradient(ratio) >= 1).astype(ratio.dtype)
     number = (critical @ jnp.ones(ratio.shape[1], ratio.dtype)).sum()
 
-    def open_them(intact, place, pool):
-        cells, new = most_critical(ratio, number)
-        normal = normals(stress.mean, cells, n.normal_window)
+    def open_them(intact, grip, place, pool):
+        cells, new = most_critical(lax.stop_gradient(ratio), number)
+        before = grid.strain(state.displacement - dt * state.velocity, n.cell)
+        earlier = intact_stress(prepared, state, before, n.size)
+        share = _onset_share(onset_ratio(prepared, earlier, n.size), ratio, cells, new)
+        borne = with_bands(earlier, state.place, state.pool.stress)
+        between = lambda a, b: a + share * (b - a)  # noqa: E731
+        averages = (averaged(s.mean, cells, n.normal_window) for s in (borne, stress))
+        normal = tensor.first_principal_direction(between(*averages))
         size = bands.effective_size(n.effective_size, normal, n.cell)
         laws = bands.at(model.embedding, model.material.reshape(-1)[cells])
-        vectors = cell_strain_vectors(strain.mean, cells, n.size)
-        fresh = band_law.open_band(laws, vectors, normal, size)
-        # a band answers the mean strain alone: the energy of the hourglass modes is given up
-        modes = zip(elastic.hourglass, strain.hourglass, strict=True)
-        bent = sum(force.reshape(-1)[cells] * q.reshape(-1)[cells] for force, q in modes)
-        fresh = fresh._replace(released=bent / (2 * n.cell**2))
-        records = bands.unsolved(fresh, n.size)
-        borne = jnp.stack([component.reshape(-1)[cells] for component in stress.mean[:3]])
-        pool, places = bands.add(pool, records, cells, new, borne)
+        vectors = (cell_strain_vectors(e.mean, cells, n.size) for e in (before, strain))
+        records = bands.unsolved(band_law.open_band(laws, between(*vectors), normal, size), n.size)
+        own = jnp.stack([component.reshape(-1)[cells] for component in stress.mean[:3]])
+        pool, places = bands.add(pool, records, cells, new, own)
         index = jnp.where(new, cells, ratio.size)
         put = lambda field, value: (  # noqa: E731
             field.reshape(-1).at[index].set(value, mode="drop").reshape(field.shape)
         )
-        return put(intact, 0.0), put(place, places.astype(place.dtype)), pool
+        left = jnp.exp((share - 1) / LETTING_GO)
+        return put(intact, 0.0), put(grip, left), put(place, places.astype(place.dtype)), pool
 
-    parts = (state.intact, state.place, state.pool)
-    intact, place, pool = lax.cond(number > 0, open_them, lambda *parts: parts, *parts)
-    return state._replace(intact=intact, place=place, pool=pool)
+    parts = (state.intact, state.grip, state.place, pool)
+    parts = lax.cond(number > 0, open_them, lambda *parts: parts, *parts)
+    return state._replace(**dict(zip(("intact", "grip", "place", "pool"), parts, strict=True)))
+
+
+def _onset_share(earlier, ratio, cells, new):
+    """Share of the last step after which cells have reached onset, by r̂ before and after it."""
+    before, after = (r.reshape(-1)[cells] for r in (earlier, ratio))
+    grows = new & (after > before)
+    return jnp.clip((1 - before) / jnp.where(grows, after - before, 1.0), 0.0, 1.0)
 
 
 def most_critical(ratio, number):
@@ -177,8 +236,8 @@ def most_critical(ratio, number):
     return cells, jnp.arange(ROOM) < count
 
 
-def normals(mean, cells, window):
-    """First principal direction (2, k) of the stress averaged over window × window cells."""
+def averaged(mean, cells, window):
+    """Stress averaged over window × window cells around some, but for a factor, (3, k)."""
     nx, ny = mean[0].shape
     reach = window // 2
     i, j = cells // ny, cells % ny
@@ -186,5 +245,4 @@ def normals(mean, cells, window):
     ii, jj = i[:, None] + di.reshape(-1), j[:, None] + dj.reshape(-1)
     inside = (ii >= 0) & (ii < nx) & (jj >= 0) & (jj < ny)
     index = jnp.where(inside, ii * ny + jj, 0)
-    total = [jnp.where(inside, c.reshape(-1)[index], 0.0).sum(1) for c in mean]
-    return tensor.first_principal_direction(jnp.stack(total))
+    return jnp.stack([jnp.where(inside, c.reshape(-1)[index], 0.0).sum(1) for c in mean[:3]])

@@ -49,7 +49,8 @@ class Model:
 
     embedding: Embedding  # laws of every material, leaves (materials,)
     density: jax.Array  # tonne/mm³, (materials,)
-    damping: jax.Array  # local damping coefficient
+    damping: jax.Array | None  # local damping coefficient
+    viscosity: jax.Array | None  # share of critical damping at the highest frequency
     gravity: jax.Array  # (2,), mm/s²
     material: jax.Array  # material of every cell, -1 where empty, (nx, ny)
     free: jax.Array  # 1 where a degree of freedom may move by itself, (2, nx+1, ny+1)
@@ -65,6 +66,7 @@ class Ledger(NamedTuple):
     initial: jax.Array  # kinetic energy at the start
     external: jax.Array
     damping: jax.Array
+    released: jax.Array  # given up by the hourglass modes of cells that crack
 
 
 class State(NamedTuple):
@@ -74,6 +76,7 @@ class State(NamedTuple):
     displacement: jax.Array  # (2, nx+1, ny+1), mm
     velocity: jax.Array  # half a step behind, (2, nx+1, ny+1), mm/s
     intact: jax.Array  # 1 where a cell is uncracked, 0 where it has a band, (nx, ny)
+    grip: jax.Array  # share of its hourglass stiffness that a cell has kept, (nx, ny)
     place: jax.Array  # of the cell's band in the pool, -1 without one, (nx, ny)
     pool: Pool
     work: Ledger
@@ -106,7 +109,15 @@ def fields(model):
 
 
 def stable_time_step(model):
-    """Largest stable step (s) of the explicit scheme: 2/ω of the stiffest cell on its own.
+    """Largest stable step (s) of the explicit scheme; viscosity ξ makes it √(1 + ξ²) − ξ times as long."""
+    step = undamped_time_step(model)
+    if model.viscosity is None:
+        return step
+    return step * (jnp.sqrt(1 + model.viscosity**2) - model.viscosity)
+
+
+def undamped_time_step(model):
+    """Largest stable step (s) without viscosity: 2/ω of the stiffest cell on its own.
 
     The highest frequency of a mesh never exceeds that of its stiffest element (Irons'
     theorem). For a square bilinear cell with lumped mass it belongs to a constant strain:
@@ -134,9 +145,10 @@ def first_state(model, velocity, capacity=None):
         displacement=jnp.zeros_like(model.free),
         velocity=velocity,
         intact=(model.material >= 0).astype(dtype),
+        grip=(model.material >= 0).astype(dtype),
         place=jnp.full(model.material.shape, -1, jnp.int32),
         pool=empty_pool(model, capacity),
-        work=Ledger(kinetic, zero, zero),
+        work=Ledger(kinetic, zero, zero, zero),
         failed=jnp.full((), -1, jnp.int32),
     )
 
@@ -164,7 +176,8 @@ def from_layout(scene, layout):
     return Model(
         embedding=_embedding(scene, materials, array),
         density=array([material.density for material in materials.values()]),
-        damping=array(scene.solver.damping),
+        damping=array(scene.solver.damping) if scene.solver.damping else None,
+        viscosity=array(scene.solver.viscosity) if scene.solver.viscosity else None,
         gravity=array(scene.gravity),
         material=jnp.asarray(layout.material, jnp.int32),
         free=array(free.reshape(2, nx + 1, ny + 1)),

@@ -111,7 +111,7 @@ def first_state(points, pool=None, kinetic=0.0):
     no, zero = jnp.zeros((), bool), jnp.zeros((), points.mass.dtype)
     kinetic = zero + kinetic
     counted = jnp.zeros((), jnp.int32)
-    return State(points, counted, Room(no, no, no), pool, counted - 1, Ledger(kinetic, zero, zero), zero)
+    return State(points, counted, Room(no, no, no), pool, counted - 1, Ledger(kinetic, zero, zero, zero), zero)
 
 
 def step(model, state, dt):

@@ -60,7 +60,7 @@ def read(model, state, dt) -> Reading:
         external=state.work.external + state.work.initial,
         stored=volume * (mean / 2 + total(stored)) + n.thickness * bend / 2 + half_step,
         kinetic=(at.prepared.mass * (state.velocity**2).sum(0)).sum() / 2,
-        dissipated=volume * total(dissipated),
+        dissipated=volume * total(dissipated) + state.work.released,
         damping=state.work.damping,
         contact=jnp.zeros_like(state.work.damping),
         cracked=state.pool.count,
@@ -81,7 +81,7 @@ class _Cells:
         self.displacement = state.displacement - dt * state.velocity
         self.time = (state.step - 1) * dt
         self.strain = grid.strain(self.displacement, n.cell)
-        self.elastic = explicit.intact_stress(self.prepared, state.intact, self.strain, n.size)
+        self.elastic = explicit.intact_stress(self.prepared, state, self.strain, n.size)
         pool = state.pool
         self.used = jnp.arange(pool.cell.shape[0]) < pool.count
         self.laws = bands.at(model.embedding, model.material.reshape(-1)[pool.cell])

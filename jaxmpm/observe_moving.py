@@ -33,7 +33,7 @@ def read(model, state, dt, sets) -> Reading:
         external=state.work.external + state.work.initial,
         stored=stored + _half_step(points, dt) if n.transfer.kind == "taylor" else stored,
         kinetic=kinetic,
-        dissipated=dissipated,
+        dissipated=dissipated + state.work.released,
         damping=state.work.damping,
         contact=state.rubbed,
         cracked=state.pool.count if state.pool is not None else jnp.zeros((), jnp.int32),

@@ -287,6 +287,11 @@ class Solver(Table):
     damping: Annotated[Number, Field(ge=0.0, lt=1.0)] = Field(
         0.02, description="local damping coefficient, dimensionless"
     )
+    viscosity: Annotated[Number, Field(ge=0.0, le=1.0)] = Field(
+        0.0,
+        description="viscosity of uncracked cells in the total frame, as a share of critical damping "
+        "at the highest frequency, dimensionless; unlike damping it has a derivative",
+    )
     precision: Literal["float64", "float32"] = Field("float64", description="of all numbers")
     energy_error_limit: Positive = Field(0.05, description="relative energy error that stops a run")
     gradient_limit: Positive = Field(
