@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jaxmpm import bands, grid, tensor
+from jaxmpm import bands, bands_reverse, grid, tensor
 from jaxmpm.grid import CellStress
 from jaxmpm.laws import band as band_law
 from jaxmpm.model import Model, State, cell_strain_vectors, fields, undamped_time_step
@@ -46,15 +46,16 @@ def needs_room(state):
     return state.pool.count + ROOM > state.pool.cell.shape[0]
 
 
-def _step(model, prepared, state, dt):
+def _step(model, prepared, state, dt, reverse=False):
     n = model.numerics
+    solve = bands_reverse.solve if reverse else bands.solve
     strain = grid.strain(state.displacement, n.cell)
     elastic = intact_stress(prepared, state, strain, n.size)
     if not n.cracks:
         plane = elastic._replace(mean=elastic.mean[:3])
         return _move(model, prepared, state, plane, dt)._replace(step=state.step + 1)
     flat = tuple(component.reshape(-1) for component in strain.mean)
-    pool, failed = bands.solve(
+    pool, failed = solve(
         state.pool, model.embedding, model.material.reshape(-1), flat, n.size, PRECISION
     )
     stress = with_bands(elastic, state.place, pool.stress)
