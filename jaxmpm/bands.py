@@ -119,7 +119,7 @@ def solve(pool, embedding, material, mean, size, precision):
     """
     stress, loading, number = _rest(pool, embedding, material, mean, size)
     pool = pool._replace(stress=stress)
-    return _load(pool, embedding, material, mean, size, precision, loading, number)
+    return _load(pool, embedding, material, mean, size, precision, loading, number)[:2]
 
 
 def _blocks(number, block):
@@ -159,12 +159,16 @@ def _rest(pool, embedding, material, mean, size):
     return lax.fori_loop(0, _blocks(pool.count, BLOCK), block, carry)
 
 
-def _load(pool, embedding, material, mean, size, precision, loading, number):
-    """Solve the bands listed in `loading` with all there is."""
+def _load(pool, embedding, material, mean, size, precision, loading, number, kept=None):
+    """Solve the bands listed in `loading` with all there is.
+
+    Returns:
+        (pool, place of a band that did not converge or -1, `kept` with the solutions found by place)
+    """
     capacity = pool.cell.shape[0]
 
     def block(k, carry):
-        records, stress, failed = carry
+        records, stress, failed, kept = carry
         start = k * LOADING
         used = start + jnp.arange(LOADING) < number
         place = jnp.where(used, lax.dynamic_slice_in_dim(loading, start, LOADING), 0)
@@ -172,18 +176,21 @@ def _load(pool, embedding, material, mean, size, precision, loading, number):
         laws = laws_of(embedding, material, cells)
         band = unpacked(records[place], size)[0]
         strain = tensor.from_plane(_strain(mean, cells, used), size)
-        answer = balance.respond(laws, band, strain, precision)
+        found = balance.solve(laws, band, strain, precision)
+        answer = balance.settled(laws, band, strain, found)
         bad = used & (answer.status == balance.FAILS)
         failed = jnp.where(bad.any(), place[jnp.argmax(bad)].astype(failed.dtype), failed)
         target = jnp.where(used, place, capacity)
         rows = packed(answer.band, in_plane_secant(laws, answer.band, size))
         records = records.at[target].set(rows, mode="drop")
-        in_plane = tensor.to_plane(answer.stress)
-        return records, stress.at[:, target].set(in_plane, mode="drop"), failed
+        stress = stress.at[:, target].set(tensor.to_plane(answer.stress), mode="drop")
+        if kept is not None:
+            kept = jax.tree.map(lambda all, own: all.at[..., target].set(own, mode="drop"), kept, found)
+        return records, stress, failed, kept
 
-    carry = (pool.records, pool.stress, jnp.full((), -1, jnp.int32))
-    records, stress, failed = lax.fori_loop(0, _blocks(number, LOADING), block, carry)
-    return pool._replace(records=records, stress=stress), failed
+    carry = (pool.records, pool.stress, jnp.full((), -1, jnp.int32), kept)
+    records, stress, failed, kept = lax.fori_loop(0, _blocks(number, LOADING), block, carry)
+    return pool._replace(records=records, stress=stress), failed, kept
 
 
 def in_plane_secant(laws, band, size):

@@ -10,12 +10,12 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 
 from jaxmpm import bands, tensor
 from jaxmpm.laws import balance
 from jaxmpm.laws import band as band_law
+from jaxmpm.laws import equilibrium
 
 
 def solve(pool, embedding, material, mean, size, precision):
@@ -39,6 +39,7 @@ class Kept(NamedTuple):
     whole: tuple  # cell and count of the pool, material of the cells
     loading: jax.Array  # places of the bands that loaded
     number: jax.Array
+    found: equilibrium.Solution  # of those, by place
 
 
 def _forward(records, stress, embedding, mean, whole, size, precision):
@@ -46,8 +47,13 @@ def _forward(records, stress, embedding, mean, whole, size, precision):
     pool = bands.Pool(records, cell, count, stress)
     answer, loading, number = bands._rest(pool, embedding, material, mean, size)
     pool = pool._replace(stress=answer)
-    pool, failed = bands._load(pool, embedding, material, mean, size, precision, loading, number)
-    return (pool.records, pool.stress, failed), Kept(records, embedding, mean, whole, loading, number)
+    none = jnp.zeros_like(stress, shape=(len(bands.bands_of(pool, size).normal) + 1, len(records)))
+    found = equilibrium.followed(none, jnp.zeros(len(records), jnp.int32))
+    pool, failed, found = bands._load(
+        pool, embedding, material, mean, size, precision, loading, number, found
+    )
+    kept = Kept(records, embedding, mean, whole, loading, number, found)
+    return (pool.records, pool.stress, failed), kept
 
 
 def _backward(size, precision, kept, by):
@@ -57,7 +63,7 @@ def _backward(size, precision, kept, by):
     loads = loads.at[_listed(kept)].set(True, mode="drop")
     start = by_records, by_stress, by_mean
     by_records, by_rest, by_mean = _rest_back(kept, loads, size, *start)
-    by_records, by_embedding, by_mean = _load_back(kept, size, precision, by_records, by_stress, by_mean)
+    by_records, by_embedding, by_mean = _load_back(kept, size, by_records, by_stress, by_mean)
     return by_records, by_rest, by_embedding, by_mean, None
 
 
@@ -95,7 +101,7 @@ def _rest_back(kept, loads, size, by_records, by_stress, by_mean):
     return lax.fori_loop(0, bands._blocks(count, bands.BLOCK), block, (by_records, by_stress, by_mean))
 
 
-def _load_back(kept, size, precision, by_records, by_stress, by_mean):
+def _load_back(kept, size, by_records, by_stress, by_mean):
     """Bands that load: by the implicit function of their balance."""
     cell, _, material = kept.whole
     capacity = kept.records.shape[0]
@@ -104,14 +110,16 @@ def _load_back(kept, size, precision, by_records, by_stress, by_mean):
         by_records, by_embedding, by_mean = carry
         start = k * bands.LOADING
         used = start + jnp.arange(bands.LOADING) < kept.number
-        place = jnp.where(used, lax.dynamic_slice_in_dim(kept.loading, start, bands.LOADING), 0)
+        listed = lax.dynamic_slice_in_dim(kept.loading, start, bands.LOADING)
+        place = jnp.where(used, listed, listed[0])  # lanes to spare do as the first: all are finite
         cells = cell[place]
-        strain = bands._strain(kept.mean, cells, used)
+        strain = jnp.stack([component[cells] for component in kept.mean])
+        found = bands.at(kept.found, place)
 
         def answer_of(rows, embedding, strain):
             laws = bands.laws_of(embedding, material, cells)
-            band = bands.unpacked(rows, size)[0]
-            answer = balance.respond(laws, band, tensor.from_plane(strain, size), precision)
+            band, whole = bands.unpacked(rows, size)[0], tensor.from_plane(strain, size)
+            answer = balance.settled(laws, band, whole, balance.known(laws, band, whole, found))
             rows = bands.packed(answer.band, bands.in_plane_secant(laws, answer.band, size))
             return rows, tensor.to_plane(answer.stress)
 

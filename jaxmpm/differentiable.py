@@ -31,6 +31,7 @@ from jaxmpm.parameters import values_of, with_values
 from jaxmpm.scene import Scene
 from jaxmpm.simulation import Simulation
 
+TAPE = 6e8  # bytes that the steps between two samples may leave for the way back
 WELL, NOT_CONVERGED, NO_ROOM = range(3)
 WHY = {
     NOT_CONVERGED: "a band did not converge: try a smaller solver.time_step_factor",
@@ -102,9 +103,15 @@ def _chunk(model, prepared, dt, every, reverse):
         return (state, _status(state, status)), None
 
     def backward(state, status, until):
-        return lax.scan(jax.checkpoint(step), (state, status), None, length=every)[0]
+        taped = step if _tape(state) * every < TAPE else jax.checkpoint(step)
+        return lax.scan(taped, (state, status), None, length=every)[0]
 
     return backward if reverse else forward
+
+
+def _tape(state):
+    """About what one step leaves for the way back, bytes: several times the state (measured)."""
+    return 6 * sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(state))
 
 
 def _status(state, status):

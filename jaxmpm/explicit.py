@@ -175,16 +175,19 @@ def onset_ratio(prepared, elastic, size):
 def _open(model, prepared, state, pool, elastic, stress, strain, dt):
     """The state with this pool, and a band for every intact cell that has reached onset."""
     n = model.numerics
-    ratio = onset_ratio(prepared, elastic, n.size)
+    # which cells are meant is no matter of derivatives; those of the few that crack are taken below
+    ratio = onset_ratio(*lax.stop_gradient((prepared, elastic)), n.size)
     # a matrix-vector product counts several times faster than a reduction of booleans
-    critical = (lax.stop_gradient(ratio) >= 1).astype(ratio.dtype)
+    critical = (ratio >= 1).astype(ratio.dtype)
     number = (critical @ jnp.ones(ratio.shape[1], ratio.dtype)).sum()
 
     def open_them(intact, grip, place, pool):
-        cells, new = most_critical(lax.stop_gradient(ratio), number)
+        cells, new = most_critical(ratio, number)
+        cells = jnp.where(new, cells, cells[0])  # spare lanes do as the first: all is finite
         before = grid.strain(state.displacement - dt * state.velocity, n.cell)
         earlier = intact_stress(prepared, state, before, n.size)
-        share = _onset_share(onset_ratio(prepared, earlier, n.size), ratio, cells, new)
+        ratios = (onset_ratio(prepared, s, n.size) for s in (earlier, elastic))
+        share = _onset_share(*ratios, cells, new)
         borne = with_bands(earlier, state.place, state.pool.stress)
         between = lambda a, b: a + share * (b - a)  # noqa: E731
         averages = (averaged(s.mean, cells, n.normal_window) for s in (borne, stress))

@@ -76,7 +76,7 @@ def respond(embedding, band, strain, precision=1e-11):
     Returns:
         Response; differentiable in embedding, band and strain, forward and in reverse.
     """
-    return _settled(embedding, band, strain, solve(embedding, band, strain, precision))
+    return settled(embedding, band, strain, solve(embedding, band, strain, precision))
 
 
 def stress_at(strain, embedding, band, precision=1e-11):
@@ -112,10 +112,10 @@ def respond_with_tangent(embedding, band, strain, precision=1e-11):
         columns.append(by)
     failed = found.status == FAILS
     tangent = jnp.where(failed, jnp.nan, jnp.stack(columns, axis=1))
-    return _settled(embedding, band, strain, found), tangent
+    return settled(embedding, band, strain, found), tangent
 
 
-def _settled(embedding, band, strain, found):
+def settled(embedding, band, strain, found):
     """The `Response` at a `Solution`, with its energies."""
     jump, softening = found.unknowns[:-1], found.unknowns[-1]
     reached = bands.answer(embedding, band, strain, jump, softening)
@@ -160,8 +160,23 @@ def solve(embedding, band, strain, precision):
 
 @solve.defjvp
 def _solve_jvp(precision, primals, tangents):
-    embedding, band, strain = primals
     found = solve(*primals, precision)
+    return found, _change(found, primals, tangents)
+
+
+@jax.custom_jvp
+def known(embedding, band, strain, found):
+    """A `Solution` that has been found before, differentiable as `solve` is."""
+    return found
+
+
+@known.defjvp
+def _known_jvp(primals, tangents):
+    return primals[3], _change(primals[3], primals[:3], tangents[:3])
+
+
+def _change(found, primals, tangents):
+    """Change of a `Solution` with all that it depends on, by the implicit function."""
     jump, softening = found.unknowns[:-1], found.unknowns[-1]
 
     def balance(embedding, band, strain):
@@ -172,9 +187,16 @@ def _solve_jvp(precision, primals, tangents):
     matrix, _ = linearised(*primals, found.unknowns)
     last = tangents[1].softening
     change = by_unknowns(parts_of(matrix), by_balance, by_gap, found.status, last)
-    _, by_free = jax.jvp(lambda *at: _freed(*at, found), primals, tangents)
+    by_free = _freed_jvp(found, primals, tangents)
     no_status = np.zeros(found.status.shape, jax.dtypes.float0)
-    return found, Solution(change, no_status, by_free, jax.tree.map(jnp.zeros_like, found.leap))
+    return Solution(change, no_status, by_free, jax.tree.map(jnp.zeros_like, found.leap))
+
+
+def _freed_jvp(found, primals, tangents):
+    """Change of the energy set free; without more ado where nothing jumps."""
+    change = lambda tangents: jax.jvp(lambda *at: _freed(*at, found), primals, tangents)[1]  # noqa: E731
+    none = lambda tangents: jnp.zeros_like(found.free)  # noqa: E731
+    return lax.cond((found.status == JUMPS).any(), change, none, tangents)
 
 
 def _freed(embedding, band, strain, found):
