@@ -54,7 +54,7 @@ class History(NamedTuple):
 
 
 def simulate(model, state, dt, every, samples, reverse=False) -> History:
-    """Advance a state by every × samples steps, and read it at the samples.
+    """Advance a state by every × samples steps, and read it every so often, one step behind.
 
     Args:
         model, state: `jaxmpm.model.Model` and `State`; the pool of the state must have room for all cells that
@@ -68,10 +68,9 @@ def simulate(model, state, dt, every, samples, reverse=False) -> History:
         History; differentiable in the model, the state and dt.
     """
     prepared = models.fields(model)
-    state = explicit._step(model, prepared, state, dt, reverse)  # a state is read one step behind
 
     def sample(carry, k):
-        state, status = _chunk(model, prepared, dt, every, reverse)(*carry, 1 + (k + 1) * every)
+        state, status = _chunk(model, prepared, dt, every, reverse)(*carry, (k + 1) * every)
         return (state, status), (observe.read(model, state, dt), status)
 
     if reverse:
@@ -140,7 +139,7 @@ class Run:
             scene: in the total frame.
             samples: at which it is read.
             stiffer: how many times stiffer than in the scene a material may become; the time step allows for it.
-            capacity: room for cracked cells; half of the cells if None.
+            capacity: room for cracked cells; a quarter of the cells if None (it is what states cost in reverse).
 
         Raises:
             SceneError: where its gradients would not be right, or it needs points that move.
@@ -156,10 +155,10 @@ class Run:
         sim = Simulation.of(scene)
         steps = int(np.ceil((sim.steps - 1) * np.sqrt(stiffer)))
         every = -(-steps // samples)
-        room = capacity or max(explicit.ROOM + 1, sim.model.material.size // 2)
+        room = capacity or max(explicit.ROOM, sim.model.material.size // 4)
         return cls(
             scene, sim.model, models.first_state(sim.model, sim.layout.velocity, room + explicit.ROOM),
-            tuple(sim.layout.materials), solver.duration / (every * samples), every, samples,
+            tuple(sim.layout.materials), solver.duration / (every * samples - 1), every, samples,
         )  # fmt: skip
 
     def __call__(self, model=None, reverse=False) -> History:

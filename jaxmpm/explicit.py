@@ -59,10 +59,10 @@ def _step(model, prepared, state, dt, reverse=False):
         state.pool, model.embedding, model.material.reshape(-1), flat, n.size, PRECISION
     )
     stress = with_bands(elastic, state.place, pool.stress)
-    cracked = _open(model, prepared, state, pool, elastic, stress, strain, dt)
+    cracked, mean = _open(model, prepared, state, pool, elastic, stress, strain, dt)
     cracked, given_up = _let_go(n, prepared, state, cracked, strain.hourglass, dt)
     stiffness = grid.hourglass_stiffness(prepared.direct, prepared.shear) * cracked.grip
-    stress = stress._replace(hourglass=tuple(stiffness * q for q in strain.hourglass))
+    stress = grid.CellStress(mean, tuple(stiffness * q for q in strain.hourglass))
     moved = _move(model, prepared, cracked, stress, dt)
     ledger = moved.work._replace(released=moved.work.released + given_up)
     return moved._replace(step=state.step + 1, failed=failed, work=ledger)
@@ -173,7 +173,11 @@ def onset_ratio(prepared, elastic, size):
 
 
 def _open(model, prepared, state, pool, elastic, stress, strain, dt):
-    """The state with this pool, and a band for every intact cell that has reached onset."""
+    """The state with this pool, and a band for every intact cell that has reached onset.
+
+    Returns:
+        (state, in-plane stress of all cells; those that crack bear no more than they did at onset)
+    """
     n = model.numerics
     # which cells are meant is no matter of derivatives; those of the few that crack are taken below
     ratio = onset_ratio(*lax.stop_gradient((prepared, elastic)), n.size)
@@ -181,7 +185,7 @@ def _open(model, prepared, state, pool, elastic, stress, strain, dt):
     critical = (ratio >= 1).astype(ratio.dtype)
     number = (critical @ jnp.ones(ratio.shape[1], ratio.dtype)).sum()
 
-    def open_them(intact, grip, place, pool):
+    def open_them(intact, grip, place, pool, mean):
         cells, new = most_critical(ratio, number)
         cells = jnp.where(new, cells, cells[0])  # spare lanes do as the first: all is finite
         before = grid.strain(state.displacement - dt * state.velocity, n.cell)
@@ -196,18 +200,20 @@ def _open(model, prepared, state, pool, elastic, stress, strain, dt):
         laws = bands.at(model.embedding, model.material.reshape(-1)[cells])
         vectors = (cell_strain_vectors(e.mean, cells, n.size) for e in (before, strain))
         records = bands.unsolved(band_law.open_band(laws, between(*vectors), normal, size), n.size)
-        own = jnp.stack([component.reshape(-1)[cells] for component in stress.mean[:3]])
+        own = jnp.stack([component.reshape(-1)[cells] for component in mean])
+        own = between(jnp.stack([component.reshape(-1)[cells] for component in borne.mean[:3]]), own)
         pool, places = bands.add(pool, records, cells, new, own)
         index = jnp.where(new, cells, ratio.size)
         put = lambda field, value: (  # noqa: E731
             field.reshape(-1).at[index].set(value, mode="drop").reshape(field.shape)
         )
         left = jnp.exp((share - 1) / LETTING_GO)
-        return put(intact, 0.0), put(grip, left), put(place, places.astype(place.dtype)), pool
+        mean = tuple(put(*pair) for pair in zip(mean, own, strict=True))
+        return put(intact, 0.0), put(grip, left), put(place, places.astype(place.dtype)), pool, mean
 
-    parts = (state.intact, state.grip, state.place, pool)
-    parts = lax.cond(number > 0, open_them, lambda *parts: parts, *parts)
-    return state._replace(**dict(zip(("intact", "grip", "place", "pool"), parts, strict=True)))
+    parts = (state.intact, state.grip, state.place, pool, stress.mean[:3])
+    *parts, mean = lax.cond(number > 0, open_them, lambda *parts: parts, *parts)
+    return state._replace(**dict(zip(("intact", "grip", "place", "pool"), parts, strict=True))), mean
 
 
 def _onset_share(earlier, ratio, cells, new):

@@ -1,0 +1,138 @@
+"""Derivatives of whole runs: against differences, in both modes, across cracks."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxmpm.differentiable import NO_ROOM, Run, at_displacement, check, smooth_peak
+from jaxmpm.errors import RunError, SceneError
+from jaxmpm.scene import Scene
+
+NAMES = ("concrete.ft", "concrete.E", "concrete.Ep", "concrete.n")
+
+
+def scene(**solver):
+    """A notched strip of 40×20 mm, pulled until its ligament has cracked."""
+    rectangle = lambda low, high: {"kind": "rectangle", "min": low, "max": high}  # noqa: E731
+    edge = lambda x: {"inside": [rectangle([x, 0.0], [x, 20.0])]}  # noqa: E731
+    return Scene.from_dict({
+        "title": "strip", "name": "strip",
+        "grid": {"size": [40.0, 20.0], "cell": 5.0, "stress_state": "plane_stress", "thickness": 1.0},
+        "materials": {"concrete": {
+            "density": 2.4e-9, "bulk": {"law": "elastic", "E": 32000.0, "nu": 0.2},
+            "band": {"law": "damage", "ft": 3.0, "Ep": 8.184, "n": 0.128, "h": 0.05},
+        }},
+        "bodies": [{
+            "name": "strip", "material": "concrete", "shapes": [rectangle([0.0, 0.0], [40.0, 20.0])],
+            "minus": [rectangle([15.0, 15.0], [20.0, 20.0])],
+        }],
+        "sets": {"left": edge(0.0), "right": edge(40.0)},
+        "supports": [{"set": "left", "fix": ["x", "y"]}],
+        "displacements": [{
+            "set": "right", "direction": "x",
+            "history": {"time": [0.0, 4e-4], "value": [0.0, 0.02], "smooth_start": 1e-4},
+        }],
+        "gauges": {
+            "load": {"kind": "reaction", "set": "right", "direction": "x"},
+            "pull": {"kind": "displacement", "set": "right", "direction": "x"},
+        },
+        "response": {"load": "load", "displacement": "pull"},
+        "solver": {"duration": 4e-4, "damping": 0.0, "viscosity": 0.1, "frame": "total"} | solver,
+    })  # fmt: skip
+
+
+def answers(run, values, reverse=False):
+    """Work, smooth peak and the load at a displacement."""
+    history = run(run.with_values(values), reverse)
+    load = history.gauges["load"]
+    there = at_displacement(load, history.gauges["pull"], 0.012)
+    return jnp.stack([history.work[-1], smooth_peak(load, 0.2), there])
+
+
+def compiled(function, *args):
+    """Compiled in little time; that it runs in more is no matter here."""
+    options = {"xla_backend_optimization_level": 0}
+    return jax.jit(function).lower(*args).compile(compiler_options=options)
+
+
+@pytest.fixture(scope="module")
+def run():
+    return Run.of(scene(), samples=24)
+
+
+@pytest.fixture(scope="module")
+def value_and_slopes(run):
+    """Answers for relative changes of the parameters, and their derivatives (parameters, answers)."""
+    start = run.values(NAMES)
+
+    def of(changes):
+        return answers(run, {name: start[name] * (1 + x) for name, x in zip(NAMES, changes, strict=True)})
+
+    none = jnp.zeros(len(NAMES))
+    both = compiled(lambda x, d: jax.jvp(of, (x,), (d,)), none, none)
+    units = jnp.eye(len(NAMES))
+    return lambda x: np.asarray(both(none + x, units[0])[0]), np.stack([both(none, d)[1] for d in units])
+
+
+def test_forward_mode_agrees_with_central_differences(value_and_slopes):
+    """Where no crack opens in another step: to 0.1 %."""
+    value, slopes = value_and_slopes
+    for unit, got in zip(np.eye(len(NAMES)), slopes, strict=True):
+        wanted = (value(1e-6 * unit) - value(-1e-6 * unit)) / 2e-6
+        np.testing.assert_allclose(got, wanted, rtol=1e-3, atol=1e-4 * np.abs(slopes).max())
+
+
+def test_reverse_mode_agrees_with_forward_mode(run, value_and_slopes):
+    _, slopes = value_and_slopes
+    start = run.values(NAMES)
+    weights = jnp.asarray([0.3, 1.0, -0.7])
+    back = compiled(jax.grad(lambda values: weights @ answers(run, values, reverse=True)), start)(start)
+    got = np.array([back[name] * start[name] for name in NAMES])
+    np.testing.assert_allclose(got, slopes @ weights, rtol=1e-7, atol=1e-9 * np.abs(slopes).max())
+
+
+def test_a_derivative_is_the_slope_over_a_range_in_which_cracks_change_steps(value_and_slopes):
+    """Over ±2 % of the strength each crack opens up to six steps earlier or later, without a leap."""
+    value, slopes = value_and_slopes
+    x = np.linspace(-0.02, 0.02, 21)
+    answers = np.array([value(each * np.eye(len(NAMES))[0]) for each in x])
+    for k, limit in enumerate((1e-4, 5e-4, 5e-4)):
+        left = answers[:, k] - np.polyval(np.polyfit(x, answers[:, k], 3), x)
+        assert np.abs(left).max() < limit * answers[:, k].mean()
+        assert abs(slopes[0, k] / np.polyfit(x, answers[:, k], 1)[0] - 1) < 0.03
+
+
+def test_single_precision_has_finite_derivatives():
+    run = Run.of(scene(precision="float32"), samples=8)
+    one = jnp.float32(1)
+    value, slope = compiled(
+        lambda ft: jax.jvp(lambda v: answers(run, {"concrete.ft": v}), (ft,), (one,)), 3 * one
+    )(3 * one)
+    assert value.dtype == jnp.float32
+    assert np.isfinite(slope).all() and slope[0] > 0
+
+
+def test_a_pool_without_room_leaves_no_number_to_trust(run):
+    short = replace(run, state=run.state._replace(pool=run.state.pool._replace(count=jnp.int32(10**6))))
+    history = compiled(short)()
+    assert (history.status == NO_ROOM).all()
+    assert np.isnan(history.gauges["load"]).all()
+    with pytest.raises(RunError, match="capacity"):
+        check(history)
+
+
+def test_what_has_no_derivative_is_refused():
+    with pytest.raises(SceneError, match="solver.damping = 0.02"):
+        Run.of(scene(damping=0.02))
+    with pytest.raises(SceneError, match='"updated"'):
+        Run.of(scene(frame="updated"))
+    run = Run.of(scene())
+    with pytest.raises(SceneError, match="did you mean concrete.ft"):
+        run.with_values({"concrete.ftt": 3.0})
+
+
+def test_smooth_peak_is_the_peak_of_a_flat_curve():
+    assert smooth_peak(jnp.full(5, 3.0), 0.1) == pytest.approx(3.0)
