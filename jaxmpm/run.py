@@ -77,6 +77,7 @@ class Recorder:
     def __init__(self, scene, directory, resume, progress):
         self.scene, self.directory = scene, directory
         self.sim = Simulation.of(scene)
+        self.can_crack = self.sim.model.numerics.cracks
         self.handed_over = None  # time, s
         self.messages: list[str] = []
         if self._begins_as_points():
@@ -321,7 +322,7 @@ class Recorder:
         out = {
             "scene": scene.name, "title": scene.title, "status": status,
             "cell_size": scene.grid.cell, "thickness": scene.grid.thickness,
-            "cells": cells, "cracked": sim.cracked(), "steps": steps, "frame": self.frame_name(),
+            "cells": cells, "can_crack": self.can_crack, "cracked": sim.cracked(), "steps": steps, "frame": self.frame_name(),
         }  # fmt: skip
         if self.moves:
             out |= {"points": sim.count(), "points_left": sim.left, "hand_over_time": self.handed_over}

@@ -54,9 +54,8 @@ def test_the_error_is_relative_to_the_most_energy_met_after_a_restart_too(tmp_pa
     assert whole["external_work"] < 0.5 * 2.8  # what it has met before is more
 
 
-@pytest.mark.parametrize("modulus", [1.0, 1000.0])
-def test_a_block_at_rest_on_the_floor_goes_on(tmp_path, modulus):
-    tree = dropped(0, frame="updated", duration=0.02 / modulus**0.5, modulus=modulus)
+def test_a_block_at_rest_on_the_floor_goes_on(tmp_path):
+    tree = dropped(0, frame="updated", duration=1e-3, modulus=1000.0, output={"samples": 20, "frames": 2})
     summary = run_scene(tree, tmp_path, progress=False)
     assert summary["status"] == "completed" and summary["largest_energy_error"] < 0.01
 
