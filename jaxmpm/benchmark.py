@@ -92,8 +92,9 @@ def run(
     `memory_mb` is the largest resident memory of the process so far, so give cells from coarse
     to fine.
     """
+    scenes = [load_scene(name, [*overrides, f"grid.cell={cell}"]) for cell in cells]
     rows = []
-    line = "{:>8}{:>9}{:>9}{:>9}{:>10}{:>10}{:>9}{:>14}{:>9}{:>10}{:>11}"
+    line = "{:>8}{:>9}{:>9}{:>9}{:>10}{:>10}{:>9}{:>16}{:>9}{:>11}{:>12}"
     keys = ("cell_size", "cells", "cracked", "steps", "peak_load", "run_seconds",
             "ms_per_step", "cell_steps_per_second", "compile_seconds", "memory_mb",
             "energy_error")  # fmt: skip
@@ -101,8 +102,7 @@ def run(
             "M cell-steps/s", "comp. s", "memory MB", "energy err")  # fmt: skip
     if show:
         show(line.format(*head))
-    for cell in cells:
-        scene = load_scene(name, [*overrides, f"grid.cell={cell}"])
+    for cell, scene in zip(cells, scenes, strict=True):
         with tempfile.TemporaryDirectory() as directory:
             summary = run_scene(scene, directory, progress=False)
         peak_memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024

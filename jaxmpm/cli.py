@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import os
 import sys
 from pathlib import Path
 
@@ -106,7 +107,9 @@ def _parser() -> argparse.ArgumentParser:
         "scene", nargs="?", default="den", metavar="SCENE",
         help='a scene, or "points" for the update of cracked points alone',
     )  # fmt: skip
-    bench.add_argument("--cells", type=float, nargs="+", default=[5.0, 2.5, 1.25], metavar="MM")
+    bench.add_argument(
+        "--cells", type=float, nargs="+", metavar="MM", help="of a scene (default: 5 2.5 1.25)"
+    )
     bench.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="overrides")
     bench.add_argument("--json", metavar="FILE", help="write the table as JSON")
     bench.set_defaults(command=_benchmark)
@@ -123,7 +126,7 @@ def _run(options) -> int:
     from jaxmpm.scene import load_scene
 
     scene = load_scene(options.scene, options.overrides)
-    directory = Path(options.out or Path("results") / scene.name)
+    directory = _folder("--out", options.out or Path("results") / scene.name)
     from jaxmpm.run import run_scene
 
     _keep_compiled()
@@ -133,6 +136,19 @@ def _run(options) -> int:
     if not options.quiet:
         print(report(summary, directory))
     return 0
+
+
+def _folder(option: str, name) -> Path:
+    """A folder to write to, which need not exist yet; raises ResultError where that cannot be."""
+    from jaxmpm.results import ResultError
+
+    directory = Path(name)
+    there = next((p for p in (directory, *directory.absolute().parents) if p.exists()), directory)
+    if not there.is_dir():
+        raise ResultError(f"{option} = {name}: expected a folder to write to, but {there} is a file")
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise ResultError(f"{option} = {name}: expected a folder to write to, but {there} may not be written")
+    return directory
 
 
 def report(summary: dict, directory) -> str:
@@ -145,14 +161,15 @@ def report(summary: dict, directory) -> str:
         )
     if summary.get("reference_inside") is not None:
         lines.append(f"{summary['reference_inside']:.0%} of the curve inside {summary['reference']}")
+    cracked = f"{summary['cracked']} of {summary['cells']} cells cracked, " if summary["can_crack"] else ""
     lines += [
-        f"{summary['cracked']} of {summary['cells']} cells cracked, "
-        f"energy error {summary['energy_error']:.1e}",
+        f"{cracked}energy error {summary['energy_error']:.1e}",
         f"{summary['run_seconds']:.1f} s for {summary['steps']} steps "
         f"({summary['ms_per_step']:.2f} ms a step, {summary['cell_steps_per_second'] / 1e6:.1f} M "
         f"cell-steps/s), {summary['compile_seconds']:.1f} s compilation, "
         f"{summary['wall_seconds']:.1f} s in all, {summary['precision']}, {summary['device']}",
-        f"written to {directory}: summary.json history.csv result.vtkhdf response.png cracks.png",
+        f"written to {directory}: summary.json history.csv result.vtkhdf"
+        + (" response.png" if "peak_load" in summary else "") + " cracks.png",
     ]
     return "\n".join(lines)
 
@@ -221,18 +238,23 @@ def _stability(options) -> int:
     _keep_compiled()
     from jaxmpm import stability
 
-    summary = stability.run(options.out, options.coarse, show=print)
+    summary = stability.run(_folder("--out", options.out), options.coarse, show=print)
     print(f"written to {options.out}: stability.png stability.csv stability.json")
     return 0 if summary["passed"] else STOPPED
 
 
 def _benchmark(options) -> int:
     from jaxmpm import benchmark
+    from jaxmpm.results import ResultError
 
     if options.scene == "points":
+        for option, value in (("--cells", options.cells), ("--set", options.overrides)):
+            if value:
+                given = " ".join(map(str, value))
+                raise ResultError(f"{option} = {given}: expected only with a scene, points are none")
         rows = benchmark.points(show=print)
     else:
-        rows = benchmark.run(options.scene, options.cells, options.overrides, show=print)
+        rows = benchmark.run(options.scene, options.cells or [5.0, 2.5, 1.25], options.overrides, show=print)
     if options.json:
         Path(options.json).write_text(json.dumps(rows, indent=1))
     return 0

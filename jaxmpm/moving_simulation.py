@@ -12,7 +12,7 @@ from jaxmpm import explicit
 from jaxmpm.errors import RunError
 from jaxmpm.fragments import fragments
 from jaxmpm.points import Points, Room, listed, slots_of
-from jaxmpm.simulation import FRAME_FIELDS, check_energy, check_finite, little_energy
+from jaxmpm.simulation import FRAME_FIELDS, LOST_LIMIT, check_energy, check_finite, little_energy
 
 MOVING_FIELDS = FRAME_FIELDS | {"side": 1, "velocity": 3}
 STABLE = 0.5  # of the step that is stable for a cell full of matter: nodes at an edge carry less
@@ -255,7 +255,7 @@ class MovingSimulation:
         )
 
     def little_energy(self) -> float:
-        """A thousandth of the energy (N·mm) that the bodies hold at onset: too little to judge by."""
+        """Too little energy to judge a balance by, N·mm."""
         return little_energy(self.scene, self.layout)
 
     def place(self, address: int) -> str:
@@ -269,7 +269,7 @@ class MovingSimulation:
         solver = self.scene.solver
         when = f"at t = {float(reading.time):.6g} s"
         check_finite(solver, [*reading.gauges.values(), *reading.energies()], when)
-        check_energy(solver, energy_error, when)
+        check_energy(solver, energy_error, when, LOST_LIMIT)
 
 
 def _fields(scene, layout, simulation):

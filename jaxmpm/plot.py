@@ -86,7 +86,7 @@ def plot_cracks(
     notes = [] if deformed is None else [f"displacements × {deformed:g}"]
     if frame % count != count - 1:
         notes.append(f"t = {times[frame]:.4g} s")
-    if not len(directions(drawn.data["normal"])[0]):
+    if summary.get("can_crack", True) and not len(directions(drawn.data["normal"])[0]):
         notes.append("no cracks")
 
     with styled_figure() as figure:

@@ -21,6 +21,8 @@ CORNERS = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 HELD = 0.3
 # A run has points of a cell and of its parts; where there are more kinds, the commonest are turned.
 MOST_SIDES = 8
+# Squares are drawn so much wider, of their side, that points a little apart still touch: no rims between.
+WIDER = 0.12
 
 
 @dataclass(frozen=True)
@@ -38,8 +40,10 @@ class Squares:
 
     def corners(self) -> np.ndarray:
         """Of each square, anticlockwise, (N, 4, 2) in mm."""
-        local = self.side[:, None, None] * CORNERS
-        return self.centre[:, None] + _turned(local, self.turn[:, None])
+        return self._corners(self.side)
+
+    def _corners(self, side: np.ndarray) -> np.ndarray:
+        return self.centre[:, None] + _turned(side[:, None, None] * CORNERS, self.turn[:, None])
 
     def extent(self) -> tuple[np.ndarray, np.ndarray]:
         """Lower left and upper right, each (2,), of all that is drawn, in mm."""
@@ -67,17 +71,22 @@ class Squares:
         """Draw the squares, coloured by `values` (N,), outlined; returns what was added."""
         from matplotlib.collections import PolyCollection
 
-        corners = self.corners()
         # Dark rims below all squares remain in sight only where no neighbour covers them: the
-        # outline of every piece. The squares' own thin rims close the seams between them.
-        rims = PolyCollection(corners, facecolors=EDGE, edgecolors=EDGE, linewidths=2.4, zorder=1)
-        squares = PolyCollection(corners, edgecolors="face", linewidths=0.3, antialiaseds=False, zorder=2)
-        squares.set(array=values, cmap=colours, norm=norm)
-        for collection in (rims, squares):
+        # outline of every piece. The squares' own thin rims close the seams between them, and wider
+        # squares below them narrow gaps, of the least side, so that outlines are as thick everywhere.
+        wide = self._corners(self.side + WIDER * self.side.min())
+        rims = PolyCollection(wide, facecolors=EDGE, edgecolors=EDGE, linewidths=2.4, zorder=1)
+        below, squares = (
+            PolyCollection(each, edgecolors="face", linewidths=0.3, antialiaseds=False, zorder=z)
+            for each, z in ((wide, 1.5), (self.corners(), 2))
+        )
+        for collection in (rims, below, squares):
+            if collection is not rims:
+                collection.set(array=values, cmap=colours, norm=norm)
             # Snapped to pixels, rims would stand out on one side only.
             collection.set(rasterized=True, snap=False)
             axes.add_collection(collection, autolim=False)
-        return [rims, squares]
+        return [rims, below, squares]
 
 
 def find_squares(

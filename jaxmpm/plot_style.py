@@ -110,7 +110,7 @@ def title(axes: Axes, summary: dict[str, Any], notes: list[str]) -> list[Artist]
 def stopped_early(summary: dict[str, Any]) -> str:
     """What to say of a run that was not completed, "" of one that was."""
     status = str(summary.get("status", "completed"))
-    return "" if status == "completed" else f"stopped early: {status}"
+    return "" if status == "completed" else f"stopped early: {status.removeprefix('stopped: ')}"
 
 
 def shades(name: str, low: float, high: float, start: str | None = None) -> Colormap:

@@ -22,6 +22,9 @@ class Progress:
         if not self.wanted:
             return
         sim, scene = recorder.sim, recorder.scene
+        if recorder.done >= scene.output.samples:
+            print(f"{scene.name}: {recorder.directory} is already complete, nothing is left to run", file=self.stream)
+            return
         cells = int((sim.layout.material >= 0).sum())
         print(
             f"{scene.name}: {cells} cells of {scene.grid.cell:g} mm, {sim.steps} steps of "
@@ -54,7 +57,9 @@ class Progress:
         if recorder.scene.response:
             names = recorder.scene.response
             text += f"  {row[names.displacement]:.4f} mm  {row[names.load]:9.1f} N"
-        text += f"  {row['cracked']} cracked  energy error {row['energy_error']:.1e}  {left:.0f} s left"
+        if recorder.can_crack:
+            text += f"  {row['cracked']} cracked"
+        text += f"  energy error {row['energy_error']:.1e}  {left:.0f} s left"
         if self.terminal:
             filled = round(BAR * share)
             bar = "█" * filled + "·" * (BAR - filled)

@@ -9,12 +9,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmpm import observe, results
-from jaxmpm.errors import RunError, written
+from jaxmpm import observe, results, walls
+from jaxmpm.errors import RunError, SceneError, written
 from jaxmpm.moving_simulation import MOVING_FIELDS, MovingSimulation
 from jaxmpm.progress import Progress
 from jaxmpm.scene import Scene
-from jaxmpm.simulation import FRAME_FIELDS, Simulation
+from jaxmpm.simulation import ERROR_LIMIT, FRAME_FIELDS, Simulation
 from jaxmpm.vtkhdf import PointCloudWriter, read_frame, read_frames
 
 CHECKPOINT_SECONDS = 10.0  # wall time between restart files
@@ -46,11 +46,19 @@ def _item(tree, key, absent):
 def energy_error(reading, floor: float = 0.0) -> float:
     """Relative error of the balance: work = stored + kinetic + dissipated + damping + contact.
 
-    Relative to the work, or to `floor` (N·mm) where there is hardly any yet.
+    Positive where energy is lost, negative where it is made. Relative to the work, or to `floor`
+    (N·mm) where that is more: the most that a run has met so far, as a body that bounces gives back
+    to gravity what it has taken.
     """
     external, *parts = (float(value) for value in reading.energies())
-    scale = max(abs(external), sum(parts), floor)
+    scale = max(energy_met(reading), floor)
     return (external - sum(parts)) / scale if scale > 0 else 0.0
+
+
+def energy_met(reading) -> float:
+    """The energy (N·mm) that an error of the balance is relative to, as far as one state tells."""
+    external, *parts = (float(value) for value in reading.energies())
+    return max(abs(external), sum(parts))
 
 
 def run_scene(scene: Scene, directory, resume: bool = False, progress: bool = True) -> dict:
@@ -69,11 +77,10 @@ class Recorder:
     def __init__(self, scene, directory, resume, progress):
         self.scene, self.directory = scene, directory
         self.sim = Simulation.of(scene)
+        self.can_crack = self.sim.model.numerics.cracks
         self.handed_over = None  # time, s
         self.messages: list[str] = []
-        # bodies that meet or part are no matter for the total frame
-        parting = len({body.velocity for body in scene.bodies}) > 1
-        if scene.solver.frame == "updated" or (scene.solver.frame == "auto" and parting):
+        if self._begins_as_points():
             self.sim = MovingSimulation.of(self.sim)
         self.columns = [("step", ""), ("time", "s")]
         self.columns += [(gauge.name, gauge.unit) for gauge in self.sim.layout.gauges]
@@ -85,10 +92,22 @@ class Recorder:
         self.rows: list[list[float]] = []
         self.wall_before = 0.0
         self.began = clock.perf_counter()
-        self.little = self.sim.little_energy()
+        self.most = self.sim.little_energy()  # energy met so far, N·mm
         self.progress = Progress(progress)
         directory.mkdir(parents=True, exist_ok=True)
         self._open_files(resume)
+
+    def _begins_as_points(self) -> bool:
+        """Bodies that meet, part or come to a wall are no matter for the total frame."""
+        frame = self.scene.solver.frame
+        if frame == "updated":
+            return True
+        met = walls.heading(self.scene, self.sim.layout)
+        if met and frame == "total":
+            raise SceneError(f'solver.frame = "total": expected "auto" or "updated", as {met}')
+        if met:
+            self.messages.append(f"t = 0 s: {met}: the run begins as points that move")
+        return bool(met) or (frame == "auto" and len({body.velocity for body in self.scene.bodies}) > 1)
 
     def run(self) -> dict:
         """All samples, then pictures and summary."""
@@ -123,7 +142,7 @@ class Recorder:
             if sample > 0:
                 sim.advance(sim.step_at(sample, samples))
             reading = sim.read() if sample > 0 or self.moves else self._at_rest()
-            error = energy_error(reading, max(self.little, sim.left["energy"] if self.moves else 0.0))
+            error = self._error(reading)
             self._record(reading, error)
             if sample in framed:
                 self._frame(reading)
@@ -134,6 +153,7 @@ class Recorder:
                 sim = self.sim
             else:
                 sim.check(reading, error)
+                self._mention_loss(reading, error)
             if clock.perf_counter() - saved > CHECKPOINT_SECONDS or sample == samples:
                 self.save()
                 saved = clock.perf_counter()
@@ -142,6 +162,20 @@ class Recorder:
     def moves(self) -> bool:
         """Whether points move by now."""
         return isinstance(self.sim, MovingSimulation)
+
+    def _error(self, reading) -> float:
+        """Relative energy error; the most energy met so far is what it is relative to."""
+        self.most = max(self.most, energy_met(reading), self.sim.left["energy"] if self.moves else 0.0)
+        return energy_error(reading, self.most)
+
+    def _mention_loss(self, reading, error):
+        """Say once that points that move have lost energy to the grid; see `simulation.check_energy`."""
+        if self.moves and error > ERROR_LIMIT and not any("lost" in message for message in self.messages):
+            self.messages.append(
+                f"t = {float(reading.time):.6g} s: {error:.1%} of the energy is lost between points and grid: "
+                "smaller cells and a smaller solver.time_step_factor lose less"
+            )
+            self.progress.say(self.messages[-1])
 
     def _hand_over(self, reading, error) -> bool:
         """Go on with points that move where the motion asks for it; says when and why."""
@@ -153,7 +187,7 @@ class Recorder:
         self.sim.check(reading, error)  # it may have gone too far, all at once
         self.sim = MovingSimulation.of(self.sim)
         self.handed_over = self.sim.begin
-        now = energy_error(self.sim.read(), self.little)
+        now = energy_error(self.sim.read(), self.most)
         self.messages.append(
             f"t = {self.sim.begin:.6g} s: {reason}: on with {self.sim.count()} points that move, "
             f"{int(reading.cracked)} with a band (relative energy error {error:.1e} before, {now:.1e} after)"
@@ -167,7 +201,7 @@ class Recorder:
     def _keep(self):
         """What a restart file would hold now: things that belong together."""
         meta = json.loads(json.dumps(self.sim.meta())) if self.moves else None
-        self.safe = (self.sim.state, self.done, self.frames, meta)
+        self.safe = (self.sim.state, self.done, self.frames, self.most, meta)
 
     def _at_rest(self):
         """The reading before the first step."""
@@ -180,7 +214,9 @@ class Recorder:
         return jax.tree.map(np.asarray, reading)
 
     def _record(self, reading, error):
-        row = [int(round(float(reading.time) / self.sim.dt)), float(reading.time)]
+        sim = self.sim
+        begin, before = (sim.begin, sim.steps_before) if self.moves else (0.0, 0)
+        row = [before + round((float(reading.time) - begin) / sim.dt), float(reading.time)]
         row += [float(reading.gauges[gauge.name]) for gauge in self.sim.layout.gauges]
         row += [float(value) for value in reading.energies()]
         row += [error, int(reading.cracked)]
@@ -214,13 +250,14 @@ class Recorder:
         """Write the restart file, as of the last complete sample."""
         if self.safe is None:
             return
-        state, done, frames, moving = self.safe
+        state, done, frames, most, moving = self.safe
         leaves, _ = jax.tree_util.tree_flatten_with_path(state)
         arrays = {_name(path): np.asarray(leaf) for path, leaf in leaves}
         meta = {
             "scene": self.scene.to_dict(),
             "done": done,
             "frames": frames,
+            "most_energy": most,
             "wall_seconds": self.wall_seconds(),
             "run_seconds": self.sim.run_seconds,
             "handed_over": self.handed_over,
@@ -246,7 +283,7 @@ class Recorder:
         if self.moves:
             self.sim.resume(meta["moving"])
         self.handed_over, self.messages = meta["handed_over"], meta["messages"]
-        self.done, self.frames = meta["done"], meta["frames"]
+        self.done, self.frames, self.most = meta["done"], meta["frames"], meta["most_energy"]
         self._keep()
         self.wall_before, self.sim.run_seconds = meta["wall_seconds"], meta["run_seconds"]
 
@@ -285,7 +322,7 @@ class Recorder:
         out = {
             "scene": scene.name, "title": scene.title, "status": status,
             "cell_size": scene.grid.cell, "thickness": scene.grid.thickness,
-            "cells": cells, "cracked": sim.cracked(), "steps": steps, "frame": self.frame_name(),
+            "cells": cells, "can_crack": self.can_crack, "cracked": sim.cracked(), "steps": steps, "frame": self.frame_name(),
         }  # fmt: skip
         if self.moves:
             out |= {"points": sim.count(), "points_left": sim.left, "hand_over_time": self.handed_over}

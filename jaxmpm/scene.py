@@ -293,7 +293,11 @@ class Solver(Table):
         "at the highest frequency, dimensionless; unlike damping it has a derivative",
     )
     precision: Literal["float64", "float32"] = Field("float64", description="of all numbers")
-    energy_error_limit: Positive = Field(0.05, description="relative energy error that stops a run")
+    energy_error_limit: Positive | None = Field(
+        None,
+        description="energy error that stops a run, relative to the most energy met so far; if left out "
+        "0.05, and 0.2 for what points that move lose to the grid",
+    )
     gradient_limit: Positive = Field(
         0.02,
         description="largest displacement gradient of an uncracked cell that the total frame "

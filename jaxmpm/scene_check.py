@@ -127,7 +127,7 @@ def _phrase(node: dict, many: bool = False) -> str:
     match node.get("type"):
         case "number" | "integer" as kind:
             words = f"{one}finite number{s}" if kind == "number" else f"{one}whole number{s}"
-            signs = {"exclusiveMinimum": ">", "minimum": ">=", "exclusiveMaximum": "<"}
+            signs = {"exclusiveMinimum": ">", "minimum": ">=", "exclusiveMaximum": "<", "maximum": "<="}
             bounds = [f"{sign} {node[key]:g}" for key, sign in signs.items() if key in node]
             return " ".join([words, " and ".join(bounds)]).strip()
         case "string":

@@ -23,6 +23,7 @@ def check_moving(tree: dict[str, Any], problems: Problems) -> None:
         )  # fmt: skip
     if points.get("fill") == "shapes" and frame != "updated":
         problems.add(("points", "fill"), '"cells" in this frame', 'or solver.frame = "updated"')
+    _check_unused(tree, frame, problems)
     if contact.get("between") == "fragments" and frame == "updated":
         what = f'"bodies" with solver.frame = {written(frame)}'
         problems.add(("contact", "between"), what, "fragments are found when the total frame hands over")
@@ -36,6 +37,24 @@ def check_moving(tree: dict[str, Any], problems: Problems) -> None:
         problems.add(("points", "fmpm_order"), '1 with points.transfer = "xpic"')
     if frame == "updated":
         _check_starts_at_zero(tree, problems)
+
+
+def _check_unused(tree: dict[str, Any], frame: str, problems: Problems) -> None:
+    """What is set but does nothing; a default, as in the scene of a run, does no harm."""
+    from jaxmpm.scene import Points
+
+    points, contact = _table(tree, "points"), _table(tree, "contact")
+    for key, known in Points.model_fields.items():
+        if frame == "total" and key in points and points[key] != known.default:
+            advice = 'or solver.frame = "auto" or "updated"'
+            problems.add(("points", key), "none in the total frame, which has no points that move", advice)
+    bodies = tree.get("bodies")
+    alone = isinstance(bodies, list | tuple) and len(bodies) == 1
+    if contact.get("kind") == "friction" and contact.get("between", "bodies") == "bodies" and alone:
+        advice = 'or contact.between = "fragments", or a second body'
+        problems.add(("contact", "kind"), '"stick" with one body', advice)
+    if contact.get("kind", "stick") == "stick" and contact.get("friction", 0.3) != 0.3:
+        problems.add(("contact", "friction"), "none where bodies stick", 'or contact.kind = "friction"')
 
 
 def _table(tree: dict, key: str) -> dict:

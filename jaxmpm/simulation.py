@@ -7,12 +7,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmpm import bands, compilation, explicit, model as models, observe
+from jaxmpm import bands, compilation, explicit, model as models, observe, walls
 from jaxmpm.errors import RunError, SceneError, written
 from jaxmpm.layout import lay_out
 from jaxmpm.scene import Scene
 
 MOST_STEPS = 2**31 - 2  # steps are counted in 32 bits
+ERROR_LIMIT = 0.05  # of the energy: what an error may be where the scene says nothing
+LOST_LIMIT = 0.2  # what points that move may lose to the grid where the scene says nothing
 OPEN = 0.9  # of a cell: opening of a crack at which a run goes on with points that move
 FRAME_FIELDS = {
     "displacement": 3, "stress": 3, "damage": 1, "opening": 1, "normal": 3, "material": 1,
@@ -122,7 +124,7 @@ class Simulation:
         return points, data
 
     def little_energy(self) -> float:
-        """A thousandth of the energy (N·mm) that the bodies hold at onset: too little to judge by."""
+        """Too little energy to judge a balance by, N·mm."""
         return little_energy(self.scene, self.layout)
 
     def asks_for_points(self, reading) -> str:
@@ -158,6 +160,12 @@ class Simulation:
                 f"{solver.gradient_limit:g}: too large a motion for the total frame; stop earlier "
                 "or, where the small-strain error is acceptable, raise the limit"
             )
+        far = reading.displacement > self.layout.cell  # from inside, to beyond an edge
+        if far and (passed := walls.crossed(self.scene, self.layout, np.asarray(self.state.displacement))):
+            raise RunError(
+                f'{passed} {when}: in the total frame walls hold only what lies on them; use solver.frame = "auto" '
+                'or "updated"'
+            )
         if reading.opening > self.layout.cell:
             raise RunError(
                 f"crack opening {float(reading.opening):.3g} mm {when} in the cell at "
@@ -176,23 +184,35 @@ def check_finite(solver, numbers, when: str) -> None:
         )
 
 
-def check_energy(solver, energy_error: float, when: str) -> None:
-    """Raise RunError where the energy balance is further out than the scene allows."""
-    if abs(energy_error) > solver.energy_error_limit:
+def check_energy(solver, energy_error: float, when: str, lost_limit: float = ERROR_LIMIT) -> None:
+    """Raise RunError where the energy balance is further out than the scene allows.
+
+    Energy that is made is a sign of instability. What is lost, error > 0, may be more by default
+    where points move: vibration that the grid cannot hold, as after an impact, dies out between
+    points and nodes.
+    """
+    limit = solver.energy_error_limit or (lost_limit if energy_error > 0 else ERROR_LIMIT)
+    if abs(energy_error) > limit:
         raise RunError(
             f"relative energy error {energy_error:.3g} {when}, more than "
-            f"solver.energy_error_limit = {solver.energy_error_limit:g}: lower "
-            f"solver.time_step_factor (now {solver.time_step_factor:g}) or load more slowly"
+            f"solver.energy_error_limit = {limit:g}: lower solver.time_step_factor (now "
+            f"{solver.time_step_factor:g}), use smaller cells or load more slowly"
         )
 
 
 def little_energy(scene, layout) -> float:
-    """A thousandth of the energy (N·mm) that the bodies of a scene hold at onset."""
+    """Too little energy (N·mm) to judge a balance by.
+
+    A thousandth of what the bodies hold at onset; with gravity, what they win in falling a hundredth
+    of their extent, if that is more: a body at rest has little but what it was set down with.
+    """
     volume = layout.cell**2 * scene.grid.thickness
-    total = 0.0
+    onset = weight = 0.0
     for index, name in enumerate(layout.materials):
         material = scene.materials[name]
+        cells = (layout.material == index).sum()
+        weight += cells * volume * material.density * np.abs(scene.gravity)
         if material.band:
-            cells = (layout.material == index).sum()
-            total += cells * volume * material.band.ft**2 / (2 * material.bulk.E)
-    return 1e-3 * float(total)
+            onset += cells * volume * material.band.ft**2 / (2 * material.bulk.E)
+    extent = layout.cell * np.array([np.ptp(k) + 1 for k in np.nonzero(layout.material >= 0)])
+    return max(1e-3 * float(onset), 1e-2 * float((weight * extent).sum()))

@@ -33,7 +33,7 @@ def run(names=(), angle=None, cell=None, show: Callable[[str], None] | None = No
     """Run the checks whose names are given (all if none); returns the rows of the table.
 
     `angle` (degrees) and `cell` (mm) single out one opening test. Raises SceneError for an
-    unknown name.
+    unknown name, and where they are given to other checks.
     """
     from jaxmpm.errors import SceneError, did_you_mean
 
@@ -42,8 +42,11 @@ def run(names=(), angle=None, cell=None, show: Callable[[str], None] | None = No
             near = did_you_mean(name, CHECKS)
             hint = f' (did you mean "{near}"?)' if near else ""
             raise SceneError(f"verify {name}: expected one of {', '.join(CHECKS)}{hint}")
-    if (angle is not None or cell is not None) and not names:
-        names = ("opening",)
+    for option, value in (("--angle", angle), ("--cell", cell)):
+        if value is not None and names and "opening" not in names:
+            raise SceneError(f"{option} = {value:g}: expected only with the check opening")
+        if value is not None:
+            names = names or ("opening",)
     rows = []
     line = "{:<34}{:>14}{:>14}{:>11}{:>11}  {}"
     if show:
@@ -53,21 +56,25 @@ def run(names=(), angle=None, cell=None, show: Callable[[str], None] | None = No
         for row in CHECKS[name](**extra):
             rows.append(row)
             if show:
-                numbers = [f"{row[key]:.6g}" for key in ("value", "expected")]
+                numbers = [f"{row['value']:.6g}", f"{row.get('side', '')} {row['expected']:.6g}".strip()]
                 numbers += [f"{row[key]:.2e}" for key in ("error", "limit")]
                 show(line.format(row["check"], *numbers, "pass" if row["passed"] else "FAIL"))
     return rows
 
 
-def _row(check, value, expected, limit, error=None) -> dict:
-    """One row; the error is relative where something other than zero is expected."""
+def _row(check, value, expected, limit, side="") -> dict:
+    """One row; the error is relative where something other than zero is expected.
+
+    With a `side`, "≤" or "≥", only what is on the other side of what is expected is an error, absolute.
+    """
     value, expected = float(value), float(expected)
-    if error is None:
-        error = abs(value - expected) / (abs(expected) if expected else 1.0)
+    error = abs(value - expected) / (abs(expected) if expected else 1.0)
+    if side:
+        error = max((value - expected) * (1 if side == "≤" else -1), 0.0)
     passed = bool(np.isfinite(value) and error <= limit)
     return {
         "check": check, "value": value, "expected": expected,
-        "error": float(error), "limit": limit, "passed": passed,
+        "error": float(error), "limit": limit, "passed": passed, **({"side": side} if side else {}),
     }  # fmt: skip
 
 

@@ -4,7 +4,9 @@ import json
 import subprocess
 import sys
 
-from jaxmpm import benchmark, cli
+import pytest
+
+from jaxmpm import benchmark, cli, verify
 
 
 def run(*arguments):
@@ -20,6 +22,8 @@ def test_run_writes_and_reports(tmp_path, capsys):
     summary = json.loads((tmp_path / "summary.json").read_text())
     # the weak column carries 0.95 f_t × 100 mm², and a little more: it cannot contract freely
     assert 265.0 < summary["peak_load"] < 292.0  # coarse samples may miss the tip
+    assert run("run", "bar", "--out", tmp_path, "--set", "output.samples=20", "--set", "output.frames=2", "--resume") == 0
+    assert "is already complete" in capsys.readouterr().err
     assert run("plot", tmp_path, "--deformed", 50) == 0
     assert (tmp_path / "deformed.png").stat().st_size > 500
 
@@ -71,6 +75,33 @@ def test_verify_one_opening(tmp_path):
     work, left = json.loads(file.read_text())
     assert work["check"] == "opening 22.5" and abs(work["value"] - 1) < 0.05
     assert left["value"] < 0.01
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        ("benchmark points --cells 5", "--cells = 5.0: expected only with a scene"),
+        ("benchmark points --set grid.cell=5", "--set = grid.cell=5: expected only with a scene"),
+        ("verify patch --angle 10", "--angle = 10: expected only with the check opening"),
+        ("benchmark dne", 'did you mean "den"?'),
+        ("run bar --out FILE", "--out = FILE: expected a folder to write to, but FILE is a file"),
+        ("run bar --out FILE/in", "but FILE is a file"),
+    ],
+)
+def test_options_that_do_not_go_together_are_named(arguments, words, tmp_path, capsys):
+    file = tmp_path / "file"
+    file.write_text("")
+    assert run(*arguments.replace("FILE", str(file)).split()) == cli.BAD_INPUT
+    out, err = capsys.readouterr()
+    assert not out and words.replace("FILE", str(file)) in err
+
+
+def test_a_row_with_one_side_says_which(monkeypatch, capsys):
+    rows = [verify._row("a", 0.05, 0.4, 0.2, side="≤"), verify._row("b", 0.9, 1.0, 0.05, side="≥")]
+    monkeypatch.setitem(verify.CHECKS, "sides", lambda: rows)
+    assert run("verify", "sides") == cli.STOPPED
+    out = capsys.readouterr().out
+    assert "≤ 0.4" in out and "≥ 1" in out and "pass" in out and "FAIL" in out
 
 
 def test_help_needs_no_jax():

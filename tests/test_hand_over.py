@@ -46,6 +46,9 @@ def test_energy_is_kept_across_the_hand_over(runs):
     history = results.read_history(runs["auto"][1] / "history.csv")
     k = int(np.searchsorted(history["time"], runs["auto"][0]["hand_over_time"]))
     assert 5 < k < 35  # cracked already, not yet through
+    assert history["step"][-1] == runs["auto"][0]["steps"] and (np.diff(history["step"]) > 0).all()
+    steps = np.diff(history["step"])  # those of points are half as long
+    assert steps[k + 1 :].max() < 2.5 * steps[: k - 1].min() and steps[k - 1 : k + 1].max() <= steps.max()
     # what gauges read goes on
     for name in ("load", "delta"):
         step = np.abs(np.diff(history[name]))

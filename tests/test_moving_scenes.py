@@ -140,6 +140,8 @@ def test_gravity_is_the_same_in_both_frames():
         ("discs", ['solver.frame="auto"'], '"elastic" in this frame'),
         ("brazil", ['solver.frame="updated"'], '"bodies" with solver.frame = "updated"'),
         ("den", ['points.fill="shapes"'], '"cells" in this frame'),
+        ("den", ['solver.frame="total"', "points.per_side=3"], "points.per_side = 3: expected none in the total frame"),
+        ("den", ['contact.kind="friction"'], '"stick" with one body'),
         ("bar", ['solver.frame="updated"', "displacements.0.history.value=[0.1,0.2,0.3]"], "begin with 0"),
         ("discs", ['points.transfer="xpic"', "points.fmpm_order=2"], "1 with points.transfer"),
         ("discs", ['contact.kind="friction"', "points.fmpm_order=2"], "1 with contact.kind"),

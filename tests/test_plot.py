@@ -168,7 +168,7 @@ def test_response_in_kilonewtons_with_its_peak(tmp_path, figures):
 
 
 def test_response_of_a_run_that_stopped_says_so(tmp_path, figures):
-    write_run(tmp_path, summary={"status": "no equilibrium at step 41 for $1 a_b", "title": "50 $"})
+    write_run(tmp_path, summary={"status": "stopped: no equilibrium at step 41 for $1 a_b", "title": "50 $"})
     plot.plot_response(tmp_path)
     plot.plot_cracks(tmp_path)
     for figure in figures:
@@ -237,6 +237,16 @@ def test_bodies_of_extreme_shape_without_cracks(tmp_path, figures, cells):
         writer.write(0.0, points, data)
     assert max(png_size(plot.plot_cracks(tmp_path))) < 1800
     assert "no cracks" in words(figures[0]) and "opening" not in words(figures[0])
+
+
+def test_a_body_that_cannot_crack_is_not_said_to_have_no_cracks(tmp_path, figures):
+    write_run(tmp_path, summary={"can_crack": False})
+    points, data = plate_frame(np.stack(np.indices((2, 2)), axis=-1).reshape(-1, 2))
+    data |= {"normal": 0 * data["normal"], "opening": 0 * data["opening"]}
+    with PointCloudWriter.create(tmp_path / "result.vtkhdf", FIELDS) as writer:
+        writer.write(0.0, points, data)
+    plot.plot_cracks(tmp_path)
+    assert "no cracks" not in words(figures[0])
 
 
 def test_bands_that_are_all_closed_need_no_colour_bar(tmp_path, figures):

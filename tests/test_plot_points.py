@@ -14,9 +14,10 @@ from jaxmpm.results import ResultError
 def squares_in(axes):
     from matplotlib.collections import PolyCollection
 
-    rims, squares = (each for each in axes.collections if isinstance(each, PolyCollection))
+    rims, below, squares = (each for each in axes.collections if isinstance(each, PolyCollection))
     corners = lambda drawn: np.array([path.vertices[:4] for path in drawn.get_paths()])  # noqa: E731
-    assert corners(rims) == pytest.approx(corners(squares)) and rims.zorder < squares.zorder
+    assert corners(rims) == pytest.approx(corners(below)) and rims.zorder < below.zorder < squares.zorder
+    assert corners(below).mean(axis=1) == pytest.approx(corners(squares).mean(axis=1))
     return squares, corners(squares)
 
 
@@ -178,3 +179,17 @@ def test_points_off_a_plane_are_refused():
     points = np.array([[0.0, 0, 0], [0, 0, 2]])
     with pytest.raises(ResultError, match="moving points needs those of a plane body"):
         find_squares(points, 0 * points, np.ones(2))
+
+
+def test_points_a_little_apart_show_no_rim_between():
+    """A gap of a twentieth of a side is closed by what is below; the outline stays."""
+    from matplotlib.colors import Normalize
+    from matplotlib.figure import Figure
+
+    points = np.array([[0.0, 0.0], [1.05, 0.0]])
+    squares = find_squares(points, 0 * points, np.ones(2))
+    axes = Figure().add_subplot()
+    rims, below, faces = squares.draw(axes, np.zeros(2), plot_style.shades("GnBu", 0, 1), Normalize(0, 1))
+    assert rims.get_zorder() < below.get_zorder() < faces.get_zorder()
+    left, right = (path.vertices[:, 0] for path in below.get_paths())
+    assert left.max() > right.min()

@@ -86,6 +86,8 @@ BULK = "materials.concrete.bulk"
         ("bands.normal_window=0", ">= 1"),
         ("bands.normal_window=3.0", "a whole number"),
         ("bands.release=-1", ">= 0"),
+        ("points.per_side=50", "a whole number >= 1 and <= 8 (points along"),
+        ("contact.friction=0.4", "none where bodies stick"),
         ("solver.duration=0", "a finite number > 0 (time to simulate, s)"),
         ("solver.duration='5e-3'", "a finite number > 0"),
         ("solver.time_step_factor=1.0", "> 0 and < 1"),

@@ -1,0 +1,41 @@
+"""What the README shows can be done as it stands."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from jaxmpm.scene import load_scene
+
+README = (Path(__file__).parents[1] / "README.md").read_text()
+
+
+def blocks(kind):
+    return re.findall(rf"```{kind}\n(.*?)```", README, re.DOTALL)
+
+
+def test_the_beam_and_the_settings_of_points_are_a_scene(tmp_path):
+    path = tmp_path / "my_beam.toml"
+    beam, moving, *_ = blocks("toml")
+    path.write_text(beam)
+    assert load_scene(path).bands.normal_window == 1
+    parts = dict(re.findall(r"^\[(\w+)\][^\n]*\n((?:\w[^\n]*\n)+)", moving, re.MULTILINE))
+    for name, lines in parts.items():  # into the table of the beam, or one more
+        beam, found = re.subn(rf"^\[{name}\].*\n", lambda head: head[0] + lines, beam, flags=re.MULTILINE)  # noqa: B023
+        beam += "" if found else f"\n[{name}]\n{lines}"
+    path.write_text(beam)
+    scene = load_scene(path)
+    assert scene.grid.walls.bottom == "slip" and scene.points.fill == "cells" and scene.contact.friction == 0.3
+
+
+def test_the_point_by_itself_runs(tmp_path, monkeypatch, capsys):
+    _, law, point = blocks("python")
+    (tmp_path / "my_laws.py").write_text(law)
+    monkeypatch.syspath_prepend(tmp_path)
+    exec(compile(point, "README.md", "exec"), {})
+    assert capsys.readouterr().out.count(" 1 ") == 3  # the band loads in every step
+
+
+@pytest.mark.parametrize("word", ["neo_hookean", "fill =", "flip =", "fmpm_order ="])
+def test_settings_are_listed(word):
+    assert word in README
