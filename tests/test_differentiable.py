@@ -117,7 +117,7 @@ def test_single_precision_has_finite_derivatives():
 
 def test_a_pool_without_room_leaves_no_number_to_trust(run):
     short = replace(run, state=run.state._replace(pool=run.state.pool._replace(count=jnp.int32(10**6))))
-    history = compiled(short)()
+    history = compiled(lambda: short())()
     assert (history.status == NO_ROOM).all()
     assert np.isnan(history.gauges["load"]).all()
     with pytest.raises(RunError, match="capacity"):
