@@ -1,0 +1,58 @@
+"""Derivatives of a whole run against the slope of a line through runs on either side."""
+
+from collections.abc import Iterator
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxmpm.differentiable import Run, at_displacement, smooth_peak
+from jaxmpm.scene import load_scene
+from jaxmpm.verify_points import row
+
+RANGE, RUNS = 0.03, 9  # of a parameter on either side; runs over it
+LEAST = 0.1  # share of the answer: a parameter that changes it by less per cent is measured by that
+ANSWERS = ("load at 0.03 mm", "work", "smooth peak")
+NAMES = ("concrete.ft", "concrete.Ep", "concrete.n", "concrete.E")
+
+
+def answers(history):
+    """Load at 0.03 mm, N; work to the end, N·mm; smooth peak, N."""
+    load = history.gauges["load"]
+    there = at_displacement(load, history.gauges["delta"], 0.03)
+    return jnp.stack([there, history.work[-1], smooth_peak(load, 170.0)])
+
+
+def plate(cell=5.0) -> Run:
+    """The double-edge-notched plate, made ready to be differentiated."""
+    settings = [f"grid.cell={cell}", "solver.damping=0", "solver.viscosity=0.1"]
+    return Run.of(load_scene("den", settings), samples=150)
+
+
+def over_a_range(run, names=NAMES):
+    """Answers and derivatives, both (names, RUNS, answers), by the logarithm of each parameter."""
+    start = run.values(names)
+
+    def of(changes):
+        values = {name: start[name] * (1 + x) for name, x in zip(names, changes, strict=True)}
+        return answers(run(run.with_values(values)))
+
+    none, units = jnp.zeros(len(names)), jnp.eye(len(names))
+    both = run.compiled(lambda x, d: jax.jvp(of, (x,), (d,)), none, none)
+    x = np.linspace(-RANGE, RANGE, RUNS)
+    pairs = [[both(none + each * unit, unit) for each in x] for unit in units]
+    return x, *np.moveaxis(np.array(pairs), 2, 0)
+
+
+def gradients() -> Iterator[dict]:
+    """Of the load at 0.03 mm, the work and a smooth peak of the plate (5 mm) by each parameter."""
+    x, values, slopes = over_a_range(plate())
+    for name, value, slope in zip(NAMES, values, slopes, strict=True):
+        for k, answer in enumerate(ANSWERS):
+            line, level = np.polyfit(x, value[:, k], 1)
+            scale = max(abs(line), LEAST * abs(level))
+            what = f"d ln({answer})/d ln {name.split('.')[1]}"
+            yield row(f"{what}, here {slope[RUNS // 2, k] / level:.4f}, line {line / level:.4f}, off by",
+                      (slope[RUNS // 2, k] - line) / scale, 0.0, 0.1)  # fmt: skip
+            yield row(f"{what}, mean {slope[:, k].mean() / level:.4f}, line {line / level:.4f}, off by",
+                      (slope[:, k].mean() - line) / scale, 0.0, 0.05)  # fmt: skip
