@@ -111,3 +111,20 @@ def _admissible(what, name, one):
     if not one.low < one.start < high:
         limits = f"above {one.low:g}" if one.high is None else f"between {one.low:g} and {high:g}"
         raise SceneError(f"{what} {name} = {one.start:g}: expected a finite number {limits}")
+
+
+def about(parameters, count: int, seed: int = 0, with_start: bool = True):
+    """Starts (count, k), each value 0.5 to 1.5 times that of the start, log-uniform; the first that itself if asked.
+
+    Those of bounded parameters stay inside.
+    """
+    random, rows = np.random.default_rng(seed + 1), []
+    for k in range(count):
+        factors = np.exp(random.uniform(np.log(0.5), np.log(1.5), len(parameters.names)))
+        values = {}
+        for factor, (name, one) in zip(factors, parameters.free.items(), strict=True):
+            low, high = (one.low, one.high) if one.high else (one.low, np.inf)
+            middle = one.start if k == 0 and with_start else factor * one.start
+            values[name] = np.clip(middle, low + 0.02 * (one.start - low), high - 0.02 * (min(high, 1e300) - one.start))
+        rows.append(parameters.theta(values))
+    return jnp.stack(rows)

@@ -193,9 +193,9 @@ def twin_of(problem: Problem, noise: float, points: int = 100, seed: int = 0) ->
     curves = problem.curves(problem.parameters.start())
     random, found = np.random.default_rng(seed), []
     for one, (displacement, load) in zip(problem.specimens, curves, strict=True):
-        furthest = np.maximum.accumulate(displacement)
+        furthest, load = np.maximum.accumulate(displacement), np.asarray(load)
         at = np.linspace(0.0, 0.95 * furthest[-1], points + 1)[1:]
-        load = np.interp(at, furthest, load) + noise * np.max(load) * random.standard_normal(points)
+        load = np.interp(at, furthest, load) + noise * float(np.max(load)) * random.standard_normal(points)
         found.append(replace(one, at=at, load=load))
     return replace(problem, specimens=found)
 
@@ -207,7 +207,7 @@ def check_reach(problem: Problem) -> None:
         if not np.isfinite(load).all():
             said = problem.parameters.show(start)
             raise SceneError(f"start {said}: expected values with which {one.name} can be run (E_p and n that exist)")
-        if max(displacement) < one.at[-1]:
+        if one.at.size and max(displacement) < one.at[-1]:
             name = one.run.scene.response.displacement
             raise SceneError(
                 f"data of {one.name} = {one.at[-1]:g} mm: expected {name} within what is simulated, up to "
