@@ -44,12 +44,11 @@ def leaves(run, scene, values) -> dict:
     names = names_of(run.model, run.materials)
     found = {name: value for name, value in values.items() if name in names}
     for material in run.materials:
-        if any(f"{material}.{leaf}" in values and f"{material}.GF" in scene for leaf in DERIVED):
+        if f"{material}.slope_factor" in scene and any(f"{material}.{leaf}" in values for leaf in DERIVED):
             value = lambda leaf: values.get(f"{material}.{leaf}", scene[f"{material}.{leaf}"])  # noqa: B023
             condition = InitialSlope(jnp.asarray(value("slope_factor")))
             fit = fit_energy(value("E"), value("ft"), value("GF"), value("h"), condition)
-            if f"{material}.GF" not in names:
-                found |= {f"{material}.Ep": fit.Ep, f"{material}.n": fit.n}
+            found |= {f"{material}.Ep": fit.Ep, f"{material}.n": fit.n}
     return found
 
 

@@ -34,7 +34,7 @@ def add(what, positive):
     part.add_argument("--method", choices=("gauss_newton", "adam"), default="gauss_newton", help="default: gauss_newton")
     part.add_argument(
         "--jacobian", choices=("secant", "tangent"), default="secant",
-        help="secants over 2 %% each way (default), or the tangents of the runs",
+        help="at the end: secants over 2 %% each way (default), or the tangents of the runs",
     )  # fmt: skip
     part.add_argument("--steps", type=_count, default=20, metavar="N", help="at most (default: 20)")
     part.add_argument("--starts", type=_count, default=1, metavar="K", help="the given one and others, 50 %% about it")
@@ -56,19 +56,19 @@ def command(options) -> int:
         raise SceneError(f"--twin = {options.twin:g}: expected without --data")
     start, fix = (_named(pairs, f"--{name}") for name, pairs in (("start", options.start), ("fix", options.fix)))
     bounds, several = _bounds(options.bounds), _several(options)
-    from calibration import leaves, specimen, specimen_report
+    from calibration import leaves, specimen, specimen_fit, specimen_report
     from jaxmpm.compilation import keep_compiled
 
     keep_compiled()
     specimens = [specimen.Specimen.of(specimen.Source(**one), bool(options.twin)) for one in several]
     parameters = leaves.parameters([one.run for one in specimens], options.free, start, fix, bounds)
-    problem = specimen.Problem(specimens, parameters, options.work, options.jacobian)
-    specimen.check_reach(problem)
+    problem = specimen_fit.Problem(specimens, parameters, options.work, options.jacobian)
+    specimen_fit.check_reach(problem)
     truth = {name: one.start for name, one in parameters.free.items()} if options.twin else None
-    problem = specimen.twin_of(problem, options.twin, seed=options.seed) if truth else problem
+    problem = specimen_fit.twin_of(problem, options.twin, seed=options.seed) if truth else problem
     show = None if options.quiet else lambda line: print(line, flush=True)
     starts = leaves.about(parameters, options.starts, options.seed, with_start=not truth)
-    fit = specimen.fit_specimens(problem, starts, options.method, options.steps, show)
+    fit = specimen_fit.fit_specimens(problem, starts, options.method, options.steps, show)
     print(specimen_report.words(fit, truth))
     if options.out:
         print(specimen_report.write(fit, options.out, truth))

@@ -8,7 +8,7 @@ import numpy as np
 
 from calibration import leaves
 from calibration.plots import plot_fit
-from calibration.specimen import SpecimenFit
+from calibration.specimen_fit import SpecimenFit
 from calibration.uncertainty import Uncertainty, uncertainty
 from jaxmpm.errors import written
 
