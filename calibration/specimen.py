@@ -24,12 +24,13 @@ NARROW = 0.01  # of the peak: bands are taken to be no narrower
 
 @dataclass(frozen=True)
 class Source:
-    """Where a specimen comes from: a scene, overrides, a CSV file, displacements to look at."""
+    """Where a specimen comes from: a scene, overrides, a CSV file, displacements to look at, a time to average over."""
 
     scene: str
     overrides: tuple = ()
     data: str | None = None
     window: tuple = (-np.inf, np.inf)  # mm
+    smooth: float = 0.0  # s, a period or two of what vibrates
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,7 @@ class Specimen:
     at: np.ndarray  # (m,) measured displacements, mm
     load: np.ndarray  # (m,), N
     half: np.ndarray | None  # (m,) half the width of a band, N
+    average: int = 1  # samples over which a curve is averaged
 
     @classmethod
     def of(cls, source: Source, twin: bool = False) -> "Specimen":
@@ -61,10 +63,12 @@ class Specimen:
         if scene.response is None:
             raise SceneError(f"scene = {source.scene}: response absent, expected the gauges of a curve to fit")
         run = Run.of(scene, SAMPLES, leaves.STIFFER)
-        name, scene_values = Path(source.scene).stem, leaves.known(run)
-        if twin:
-            return cls(name, tuple(overrides), run, scene_values, *(np.zeros(0),) * 2, None)
-        return cls(name, tuple(overrides), run, scene_values, *_measured(scene, source))
+        measured = (np.zeros(0), np.zeros(0), None) if twin else _measured(scene, source)
+        average = max(1, round(source.smooth / (run.dt * run.every)))
+        if average > SAMPLES // 10:
+            limit = SAMPLES // 10 * run.dt * run.every
+            raise SceneError(f"smooth = {source.smooth:g}: expected a time up to {limit:.3g} s, a tenth of the run")
+        return cls(Path(source.scene).stem, tuple(overrides), run, leaves.known(run), *measured, average)
 
     @property
     def scale(self) -> np.ndarray:
@@ -73,10 +77,11 @@ class Specimen:
         return np.maximum(self.half, NARROW * peak) if self.half is not None else np.full(len(self.at), peak)
 
     def curve(self, values):
-        """Displacement and load (samples + 1,), mm and N, from rest; NaN where the run went wrong; pure."""
+        """Displacement and load (samples + 2 - average,), mm and N, from rest; NaN if the run went wrong; pure."""
         history = self.run(self.run.with_values(leaves.leaves(self.run, self.scene, values)))
         names, well = self.run.scene.response, (history.status == WELL).all()
-        lines = (history.gauges[name] for name in (names.displacement, names.load))
+        mean = lambda line: jnp.convolve(line, jnp.full(self.average, 1 / self.average), "valid")
+        lines = (mean(history.gauges[name]) for name in (names.displacement, names.load))
         return tuple(jnp.where(well, jnp.concatenate([jnp.zeros(1), line]), jnp.nan) for line in lines)
 
     def residual(self, curve, work=0.0):

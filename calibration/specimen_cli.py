@@ -7,7 +7,7 @@ from pathlib import Path
 
 from jaxmpm.errors import SceneError, did_you_mean
 
-KEYS = {"scene", "set", "data", "window"}  # of a specimen in a file of specimens
+KEYS = {"scene", "set", "data", "window", "smooth"}  # of a specimen in a file of specimens
 
 
 def add(what, positive):
@@ -27,6 +27,10 @@ def add(what, positive):
     part.add_argument(
         "--window", type=float, nargs=2, metavar="MM", default=(-math.inf, math.inf),
         help="displacements between which the curve is fitted",
+    )  # fmt: skip
+    part.add_argument(
+        "--smooth", type=_weight, default=0.0, metavar="S",
+        help="time over which simulated curves are averaged, a period or two of what vibrates",
     )  # fmt: skip
     part.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="overrides", help="change the scene")
     part.add_argument("--specimens", metavar="FILE", help="several, tables [[specimens]] of a TOML file")
@@ -78,7 +82,7 @@ def command(options) -> int:
 def _several(options) -> list[dict]:
     """What each specimen is made of."""
     if options.specimens is None:
-        return [_one(options.scene, options.overrides, options.data, options.window)]
+        return [_one(options.scene, options.overrides, options.data, options.window, options.smooth)]
     path = Path(options.specimens)
     try:
         tree = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -86,11 +90,11 @@ def _several(options) -> list[dict]:
         raise SceneError(f"--specimens = {path}: expected a TOML file ({error})") from None
     tables = tree.get("specimens")
     if not isinstance(tables, list) or not tables or not all(isinstance(one, dict) for one in tables):
-        raise SceneError(f"{path}: specimens: expected tables [[specimens]] with scene, set, data, window")
-    return [_table(path, k, one, options.overrides) for k, one in enumerate(tables)]
+        raise SceneError(f"{path}: specimens: expected tables [[specimens]] with scene, set, data, window, smooth")
+    return [_table(path, k, one, options) for k, one in enumerate(tables)]
 
 
-def _table(path, k, one, overrides):
+def _table(path, k, one, options):
     for key in one:
         if key not in KEYS:
             hint = did_you_mean(key, KEYS) or ", ".join(sorted(KEYS))
@@ -104,14 +108,17 @@ def _table(path, k, one, overrides):
     numbers = isinstance(window, list | tuple) and len(window) == 2 and all(isinstance(x, int | float) for x in window)
     if not numbers:
         raise SceneError(f"{path}: specimens.{k}.window = {window}: expected two displacements, mm")
-    return _one(beside(one["scene"]), [*one.get("set", []), *overrides], beside(data) if data else None, window)
+    overrides, smooth = [*one.get("set", []), *options.overrides], one.get("smooth", options.smooth)
+    if not (isinstance(smooth, int | float) and 0 <= smooth < math.inf):
+        raise SceneError(f"{path}: specimens.{k}.smooth = {smooth}: expected a time, s")
+    return _one(beside(one["scene"]), overrides, beside(data) if data else None, window, smooth)
 
 
-def _one(scene, overrides, data, window):
+def _one(scene, overrides, data, window, smooth):
     low, high = window
     if not low < high:
         raise SceneError(f"window = {low:g} {high:g}: expected two displacements, mm, the lower one first")
-    return {"scene": scene, "overrides": tuple(overrides), "data": data, "window": (low, high)}
+    return {"scene": scene, "overrides": tuple(overrides), "data": data, "window": (low, high), "smooth": smooth}
 
 
 def _named(pairs, option) -> dict[str, float]:

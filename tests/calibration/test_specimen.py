@@ -137,6 +137,21 @@ def test_a_band_is_fitted_at_its_middle_in_half_widths(tmp_path, slow):
     np.testing.assert_allclose(found, [0.0, 0.0, 1.0], atol=1e-9)
 
 
+def test_averages_take_vibrations_out_and_leave_straight_lines(slow):
+    """Over 6 samples a load that swings every 3 samples is as if it did not."""
+    one = replace(slow, average=6, run=replace(slow.run))
+    values = {"weak.ft": 2.0, "weak.GF": 0.1}
+    swing = lambda run, model: (h := Slow.__call__(run, model))._replace(
+        gauges={"delta": h.gauges["delta"], "load": h.gauges["load"] + 50 * jnp.cos(2 * jnp.pi * jnp.arange(200) / 3)}
+    )
+    shaken = replace(one, run=type("Shaken", (Slow,), {"__call__": swing})(**vars(slow.run)))
+    for found, wanted in zip(shaken.curve(values), one.curve(values), strict=True):
+        assert found.shape == (196,)
+        np.testing.assert_allclose(found, wanted, atol=1e-9)
+    with pytest.raises(SceneError, match="smooth = 1: expected a time up to"):
+        Specimen.of(Source("bar", tuple(HEAVY), smooth=1.0), twin=True)
+
+
 def test_starts_are_log_uniform_half_to_one_and_a_half(twin):
     many = jax.vmap(lambda t: jnp.stack(list(twin.parameters.values(t).values())))(leaves.about(twin.parameters, 200))
     share = many / many[0]
@@ -193,10 +208,12 @@ def test_a_file_of_specimens(tmp_path):
     (tmp_path / "a.csv").write_text("delta_mm,load_N\n0,0\n0.02,200\n")
     file = tmp_path / "fit.toml"
     file.write_text('[[specimens]]\nscene = "bar"\nset = ["grid.cell=5"]\ndata = "a.csv"\nwindow = [0, 0.1]\n')
-    options = type("Options", (), {"scene": None, "specimens": str(file), "overrides": ["a=1"]})
-    assert specimen_cli._several(options) == [
-        {"scene": "bar", "overrides": ("grid.cell=5", "a=1"), "data": str(tmp_path / "a.csv"), "window": (0, 0.1)}
-    ]
+    options = type("Options", (), {"scene": None, "specimens": str(file), "overrides": ["a=1"], "smooth": 0.0})
+    (one,) = specimen_cli._several(options)
+    assert one == {
+        "scene": "bar", "overrides": ("grid.cell=5", "a=1"), "data": str(tmp_path / "a.csv"), "window": (0, 0.1),
+        "smooth": 0.0,
+    }  # fmt: skip
     file.write_text('[[specimens]]\nscene = "bar"\ndat = "a.csv"\n')
     with pytest.raises(SceneError, match="specimens.0.dat: unknown, expected data"):
         specimen_cli._several(options)
