@@ -120,8 +120,7 @@ def gauss_newton(
     """Gauss-Newton with the damping of Levenberg and Marquardt, to the end.
 
     Args:
-        evaluate: theta (k,) -> (r (m,), dr/dtheta (m, k)), see `linearised`.
-        theta: (k,).
+        evaluate, theta: theta (k,) -> (r (m,), dr/dtheta (m, k)), see `linearised`, and (k,).
         steps: at most.
         tolerance: done where a step, or the cosine between the residual and what steps can
             change, is less.
@@ -150,8 +149,8 @@ def gauss_newton(
         else:
             damping, rejected = 10 * damping, rejected + 1
         if show:
-            slope = np.linalg.norm(slope)
-            show(_line(f"Gauss-Newton {count}", value @ value / 2, slope, name(theta)))
+            loss, size = value @ value / 2, np.linalg.norm(slope)
+            show(_line(f"Gauss-Newton {count}", loss, size, name(theta)))
     return Descent(theta, value, jacobian, count, rejected, bool(converged))
 
 
