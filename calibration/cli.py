@@ -1,9 +1,10 @@
-"""`jaxmpm calibrate energy | curve`: options in, words, files and pictures out."""
+"""`jaxmpm calibrate energy | curve | specimen`: options in, words, files and pictures out."""
 
 import argparse
 import math
 from pathlib import Path
 
+from calibration import specimen_cli
 from jaxmpm.errors import SceneError, did_you_mean
 
 CONDITIONS = ("initial_slope", "point", "centroid", "modulus")
@@ -58,15 +59,18 @@ def number(text: str) -> float:
 def _parser() -> Parser:
     parser = Parser(
         prog="jaxmpm calibrate",
-        description="Parameters of band laws from fracture energy or a softening curve.",
+        description="Parameters of materials from fracture energy, a softening curve or whole tests.",
         epilog="example: jaxmpm calibrate energy --E 32000 --ft 3 --GF 0.11 --h 0.05",
         allow_abbrev=False,
     )
     what = parser.add_subparsers(title="what", required=True, metavar="WHAT", dest="what")
     for add, command in ((_add_energy, _energy), (_add_curve, _curve)):
         part = add(what)
+        part.set_defaults(command=command)
+    specimen_cli.add(what, positive)
+    for part in what.choices.values():
         known = [name for action in part._actions for name in action.option_strings]
-        part.set_defaults(command=command, known=known)
+        part.set_defaults(known=known)
     return parser
 
 

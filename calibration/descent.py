@@ -114,17 +114,19 @@ def _settled(state, trial, moments, loss, slope):
 
 
 def gauss_newton(
-    evaluate, theta, steps=60, tolerance=1e-9, show: Show | None = None, name=lambda theta: ""
-):
+    evaluate, theta, steps=60, tolerance=1e-9, show: Show | None = None, name=lambda theta: "",
+    flat=0.0, trial=None,
+):  # fmt: skip
     """Gauss-Newton with the damping of Levenberg and Marquardt, to the end.
 
     Args:
-        evaluate: theta (k,) -> (r (m,), dr/dtheta (m, k)), see `linearised`.
-        theta: (k,).
+        evaluate, theta: theta (k,) -> (r (m,), dr/dtheta (m, k)), see `linearised`, and (k,).
         steps: at most.
         tolerance: done where a step, or the cosine between the residual and what steps can
             change, is less.
         show, name: as for `adam`.
+        flat: done too where a step lowers the loss by a smaller share.
+        trial: theta (k,) -> r (m,), where that is much cheaper: steps are judged by it first.
 
     Returns:
         Descent; its residual is not finite if the start cannot be evaluated.
@@ -134,24 +136,38 @@ def gauss_newton(
     damping, rejected, converged, count = 1e-3, 0, False, 0
     for count in range(1, steps + 1):
         slope = value @ jacobian
-        if not np.isfinite(slope).all():
+        if converged or not np.isfinite(slope).all():
             break
         move = _damped(jacobian, slope, damping)
         converged = np.abs(move).max() < tolerance or _orthogonal(value, jacobian, tolerance)
         if converged:
             break
-        new_value, new_jacobian = _attempt_arrays(evaluate, theta + move, value)
-        if np.isfinite(new_jacobian).all() and new_value @ new_value <= value @ value:
-            theta, value, jacobian, damping = theta + move, new_value, new_jacobian, damping / 10
+        there = _lower(evaluate, trial, theta + move, value)
+        if there:
+            converged = there[0] @ there[0] > (1 - flat) * (value @ value)
+            theta, (value, jacobian), damping = theta + move, there, damping / 10
         else:
             damping, rejected = 10 * damping, rejected + 1
         if show:
-            show(
-                _line(
-                    f"Gauss-Newton {count}", value @ value / 2, np.linalg.norm(slope), name(theta)
-                )
-            )
+            loss, size = value @ value / 2, np.linalg.norm(slope)
+            show(_line(f"Gauss-Newton {count}", loss, size, name(theta)))
     return Descent(theta, value, jacobian, count, rejected, bool(converged))
+
+
+def _lower(evaluate, trial, theta, value):
+    """(r, its Jacobian) at theta, None where they are not finite or r is larger than `value`."""
+    if trial is not None and not _no_larger(_attempt_value(trial, theta, value), value):
+        return None
+    there = _attempt_arrays(evaluate, theta, value)
+    return there if _no_larger(there[0], value) and np.isfinite(there[1]).all() else None
+
+
+def _no_larger(residual, value):
+    return residual @ residual <= value @ value  # not so if not finite
+
+
+def _attempt_value(trial, theta, like):
+    return np.asarray(_attempt(lambda x: (trial(x), None), jnp.asarray(theta), like)[0])
 
 
 def _attempt_arrays(evaluate, theta, like):

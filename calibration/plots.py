@@ -8,7 +8,7 @@ from jaxmpm import plot_style
 from jaxmpm.plot_style import ACCENT, FAINT, INK, styled_figure
 
 
-def plot_fit(path, measured, model, labels, title="", smooth=None) -> Path:
+def plot_fit(path, measured, model, labels, title="", smooth=None, half=None) -> Path:
     """Data and model over the same abscissa, and below them model minus data.
 
     Args:
@@ -18,6 +18,7 @@ def plot_fit(path, measured, model, labels, title="", smooth=None) -> Path:
         labels: of x, y and the residual.
         title: above it.
         smooth: (x, y) of the model drawn as a line, else through its points.
+        half: (m,) half the width of a band that the data are the middle of.
     """
     x, y = (np.asarray(values) for values in measured)
     order = np.argsort(x)
@@ -26,6 +27,9 @@ def plot_fit(path, measured, model, labels, title="", smooth=None) -> Path:
         figure.set_size_inches(6.0, 4.8)
         above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
         figure.subplots_adjust(hspace=0.08)
+        if half is not None:
+            for axes, middle in ((above, y), (below, 0.0)):
+                axes.fill_between(x, middle - half, middle + half, color=FAINT, alpha=0.3, lw=0)
         above.plot(x, y, "o", ms=4, mfc="none", mec=FAINT, mew=1.1, label="data")
         above.plot(*line, color=INK, lw=1.6, label="fit")
         above.set_ylabel(labels[1])
