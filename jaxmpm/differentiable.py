@@ -16,7 +16,7 @@ work). Local damping (`solver.damping`) leaps wherever a velocity changes sign, 
 without bound in it: it is refused. Viscosity does the same service smoothly.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import jax
@@ -24,7 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jaxmpm import compilation, explicit, observe
+from jaxmpm import bands, compilation, explicit, observe
 from jaxmpm import model as models
 from jaxmpm.errors import RunError, SceneError
 from jaxmpm.parameters import values_of, with_values
@@ -174,6 +174,20 @@ class Run:
     def values(self, names) -> dict:
         """Numbers of the scene's materials by name."""
         return values_of(self.model, self.materials, names)
+
+    def by_cells(self) -> "Run":
+        """The same run with every cell a material of its own, its parameters leaves (cells,), cells in order.
+
+        For the derivative by a field: one run in reverse says what each cell would do for the answer.
+        """
+        model = self.model
+        number = jnp.arange(model.material.size, dtype=jnp.int32).reshape(model.material.shape)
+        own = jnp.maximum(model.material, 0).reshape(-1)
+        model = replace(
+            model, embedding=bands.at(model.embedding, own), density=model.density[own],
+            material=jnp.where(model.material >= 0, number, -1),
+        )  # fmt: skip
+        return replace(self, model=model, materials=())
 
     def compiled(self, function, *args):
         """`function` compiled for arguments like these, as the project compiles its steps."""
