@@ -140,22 +140,3 @@ def test_growing_the_pool_changes_nothing(monkeypatch):
     for name in ("normal", "jump"):
         a, b = (getattr(bands.bands_of(state.pool, 3), name)[:, :count] for state in (grown, roomy))
         np.testing.assert_allclose(a, b, atol=1e-3)
-
-
-def test_gradient_through_steps_matches_differences():
-    """d(load)/d(E) of an elastic pull by forward mode, against central differences."""
-    # local damping has a kink wherever a velocity changes sign
-    sim = Simulation.of(load_scene("bar", ["solver.damping=0"]))
-
-    def load(young):
-        bulk = sim.model.embedding.bulk
-        bulk = type(bulk)(young * bulk.E, bulk.nu)
-        embedding = replace(sim.model.embedding, bulk=bulk)
-        model = models.Model(**(vars(sim.model) | {"embedding": embedding}))
-        state = explicit.advance(model, sim.state, sim._dt(), 400)
-        return observe.read(model, state, sim._dt()).gauges["load"]
-
-    function = jax.jit(load)
-    derivative = jax.jit(lambda y: jax.jvp(load, (y,), (1.0,))[1])(1.0)
-    difference = (function(1 + 1e-5) - function(1 - 1e-5)) / 2e-5
-    assert float(derivative) == pytest.approx(float(difference), rel=1e-6)

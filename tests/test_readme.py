@@ -29,7 +29,7 @@ def test_the_beam_and_the_settings_of_points_are_a_scene(tmp_path):
 
 
 def test_the_point_by_itself_runs(tmp_path, monkeypatch, capsys):
-    _, law, point = blocks("python")
+    _, law, point, _ = blocks("python")
     (tmp_path / "my_laws.py").write_text(law)
     monkeypatch.syspath_prepend(tmp_path)
     exec(compile(point, "README.md", "exec"), {})
