@@ -59,8 +59,10 @@ def _step(model, prepared, state, dt, reverse=False):
         state.pool, model.embedding, model.material.reshape(-1), flat, n.size, PRECISION
     )
     stress = with_bands(elastic, state.place, pool.stress)
-    cracked, mean = _open(model, prepared, state, pool, elastic, stress, strain, dt)
-    cracked, given_up = _let_go(n, prepared, state, cracked, strain.hourglass, dt)
+    keep = jnp.asarray(np.exp(-1 / LETTING_GO), state.grip.dtype)
+    grip = jnp.where(state.intact > 0, state.grip, keep * state.grip)
+    cracked, mean = _open(model, prepared, state, pool, grip, elastic, stress, strain, dt)
+    given_up = _let_go(n, prepared, state, cracked, strain.hourglass, dt)
     stiffness = grid.hourglass_stiffness(prepared.direct, prepared.shear) * cracked.grip
     stress = grid.CellStress(mean, tuple(stiffness * q for q in strain.hourglass))
     moved = _move(model, prepared, cracked, stress, dt)
@@ -69,19 +71,15 @@ def _step(model, prepared, state, dt, reverse=False):
 
 
 def _let_go(n, prepared, state, cracked, modes, dt):
-    """Cracked cells with less of their hourglass stiffness, and the energy (N·mm) given up by that.
+    """Energy (N·mm) given up as cracked cells lose their hourglass stiffness.
 
     A band answers the mean strain alone. What the hourglass modes bear at onset goes over some
     steps: at once it would start waves, which say little of the material and much of the mesh.
     """
-    keep = jnp.asarray(np.exp(-1 / LETTING_GO), cracked.grip.dtype)
-    old = state.intact * (1 - cracked.intact)  # those that crack now have let go a little already
-    grip = jnp.where(cracked.intact + old > 0, cracked.grip, keep * cracked.grip)
     stiffness = grid.hourglass_stiffness(prepared.direct, prepared.shear)
     rates = grid.strain(state.velocity, n.cell).hourglass  # twice the energy half a step ago:
     product = sum(q * (q - dt * rate) for q, rate in zip(modes, rates, strict=True))
-    energy = stiffness * product * (0.5 * n.thickness)
-    return cracked._replace(grip=grip), jnp.vdot(state.grip - grip, energy)
+    return jnp.vdot(state.grip - cracked.grip, stiffness * product) * (0.5 * n.thickness)
 
 
 def intact_stress(prepared, state, strain, size):
@@ -172,8 +170,8 @@ def onset_ratio(prepared, elastic, size):
     return prepared.embedding.law.onset(stress, prepared.embedding.bulk)
 
 
-def _open(model, prepared, state, pool, elastic, stress, strain, dt):
-    """The state with this pool, and a band for every intact cell that has reached onset.
+def _open(model, prepared, state, pool, grip, elastic, stress, strain, dt):
+    """The state with this pool and grip, and a band for every intact cell that has reached onset.
 
     Returns:
         (state, in-plane stress of all cells; those that crack bear no more than they did at onset)
@@ -211,7 +209,7 @@ def _open(model, prepared, state, pool, elastic, stress, strain, dt):
         mean = tuple(put(*pair) for pair in zip(mean, own, strict=True))
         return put(intact, 0.0), put(grip, left), put(place, places.astype(place.dtype)), pool, mean
 
-    parts = (state.intact, state.grip, state.place, pool, stress.mean[:3])
+    parts = (state.intact, grip, state.place, pool, stress.mean[:3])
     *parts, mean = lax.cond(number > 0, open_them, lambda *parts: parts, *parts)
     return state._replace(**dict(zip(("intact", "grip", "place", "pool"), parts, strict=True))), mean
 

@@ -1,6 +1,5 @@
 """The explicit step: motion, energy, opening of bands, growth of the pool."""
 
-from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
