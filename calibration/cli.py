@@ -1,11 +1,11 @@
 """`jaxmpm calibrate energy | curve | specimen`: options in, words, files and pictures out."""
 
 import argparse
-import math
 from pathlib import Path
 
 from calibration import specimen_cli
-from jaxmpm.errors import SceneError, did_you_mean
+from calibration.options import named, positive, share, width
+from jaxmpm.errors import SceneError, near_or
 
 CONDITIONS = ("initial_slope", "point", "centroid", "modulus")
 CURVES = ("linear", "bilinear", "exponential", "hordijk")
@@ -23,10 +23,8 @@ class Parser(argparse.ArgumentParser):
         if unknown:
             known = [name for name in options.known if name != "-h"]
             word = unknown[0].split("=")[0]
-            near = next(
-                (name for name in known if name.startswith(word)), did_you_mean(word, known)
-            )
-            hint = f"did you mean {near}?" if near else f"expected one of {', '.join(known)}"
+            near = next((name for name in known if name.startswith(word)), None)
+            hint = f"did you mean {near}?" if near else near_or(word, known)
             raise SceneError(f"calibrate {options.what}: unknown {unknown[0]} ({hint})")
         return options
 
@@ -35,25 +33,6 @@ def main(arguments=None) -> int:
     """Do what the words after `jaxmpm calibrate` ask for; raises SceneError for bad input."""
     options = _parser().parse_all(arguments)
     return options.command(options)
-
-
-def positive(text: str) -> float:
-    """A finite number above zero."""
-    value = number(text)
-    if not value > 0:
-        raise argparse.ArgumentTypeError(f"{text}: expected a finite number above 0")
-    return value
-
-
-def number(text: str) -> float:
-    """A finite number."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"{text}: expected a finite number")
-    return value
 
 
 def _parser() -> Parser:
@@ -67,7 +46,7 @@ def _parser() -> Parser:
     for add, command in ((_add_energy, _energy), (_add_curve, _curve)):
         part = add(what)
         part.set_defaults(command=command)
-    specimen_cli.add(what, positive)
+    specimen_cli.add(what)
     for part in what.choices.values():
         known = [name for action in part._actions for name in action.option_strings]
         part.set_defaults(known=known)
@@ -80,7 +59,7 @@ def _add_energy(what):
     part.add_argument("--ft", type=positive, required=True, metavar="MPA", help="tensile strength")
     part.add_argument("--GF", type=positive, required=True, metavar="N/MM", help="fracture energy")
     part.add_argument(
-        "--h", type=_width, required=True, metavar="MM", help='width of the band, or "fit"'
+        "--h", type=width, required=True, metavar="MM", help='width of the band, or "fit"'
     )
     part.add_argument(
         "--condition", choices=CONDITIONS, default=CONDITIONS[0],
@@ -91,7 +70,7 @@ def _add_energy(what):
     )
     part.add_argument("--w", type=positive, metavar="MM", help="opening of the point or centroid")
     part.add_argument(
-        "--ratio", type=_share, help="of the point, stress over strength (default: 0.5)"
+        "--ratio", type=share, help="of the point, stress over strength (default: 0.5)"
     )
     part.add_argument("--Ep", type=positive, metavar="MPA", help="of the condition modulus")
     part.add_argument("--json", metavar="FILE", help="write all numbers")
@@ -124,17 +103,6 @@ def _add_curve(what):
     part.add_argument("--out", metavar="DIR", help="write fit.json and fit.png")
     part.add_argument("--quiet", action="store_true", help="no progress")
     return part
-
-
-def _width(text: str):
-    return None if text == "fit" else positive(text)
-
-
-def _share(text: str) -> float:
-    value = number(text)
-    if not 0 < value < 1:
-        raise argparse.ArgumentTypeError(f"{text}: expected a number between 0 and 1")
-    return value
 
 
 def _energy(options) -> int:
@@ -203,7 +171,7 @@ def _check_picture(name):
 
 
 def _curve(options) -> int:
-    fix = _fixed(options.fix)
+    fix = named(options.fix, "--fix", "KEY=VALUE such as ft=3")
     if (options.file is None) == (options.to is None):
         raise SceneError("calibrate curve: expected FILE.csv or --to LAW, one of them")
     if options.to and None in (options.ft, options.GF):
@@ -226,16 +194,3 @@ def _curve(options) -> int:
     if options.out:
         print(curve_report.write(fit, options.out))
     return 0
-
-
-def _fixed(pairs) -> dict[str, float]:
-    fixed = {}
-    for pair in pairs:
-        name, equals, text = pair.partition("=")
-        try:
-            fixed[name] = number(text)
-        except argparse.ArgumentTypeError as error:
-            raise SceneError(f"--fix {pair}: expected KEY=VALUE such as ft=3") from error
-        if not equals:
-            raise SceneError(f"--fix {pair}: expected KEY=VALUE such as ft=3")
-    return fixed

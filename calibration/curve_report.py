@@ -3,8 +3,6 @@
 import json
 from pathlib import Path
 
-import numpy as np
-
 from calibration.curve import UNITS, CurveFit
 from calibration.plots import plot_fit
 
@@ -26,9 +24,7 @@ def words(fit: CurveFit) -> str:
     lines.append(f"{100 * max(fit.beyond, 0.0):.1f} % of GF lies beyond the last point")
     strength = fit.values["ft"]
     lines.append(f"residual {fit.rms:.3g} MPa rms, {100 * fit.rms / strength:.2g} % of ft")
-    lines += [f"correlation {line}" for line in _correlated(known)]
-    lines += [f"warning: {line}" for line in known.warnings]
-    return "\n".join([*lines, toml_line(fit)])
+    return "\n".join([*lines, *known.correlations(), *known.warned(), toml_line(fit)])
 
 
 def toml_line(fit: CurveFit) -> str:
@@ -53,16 +49,11 @@ def write(fit: CurveFit, directory) -> str:
 
 def table(fit: CurveFit) -> dict:
     """All numbers of a fit, for JSON; what is not finite as null."""
-    known = fit.uncertainty
-    finite = lambda x: [_null(float(v)) for v in x]  # noqa: E731
     return {
         "law": fit.law, "data": fit.data.name, "points": len(fit.data.w), "parameters": fit.values,
         "fixed": fit.fixed, "energy_beyond_data": fit.beyond, "residual_norm": fit.residual_norm, "rms": fit.rms,
-        "converged": fit.converged, "steps": fit.steps, "rejected_steps": fit.rejected, "free": known.names,
-        "standard_deviation": finite(known.deviation), "covariance": [finite(r) for r in known.covariance],
-        "correlation": [finite(row) for row in known.correlation],
-        "singular_values": finite(known.singular), "warnings": known.warnings,
-    }  # fmt: skip
+        "converged": fit.converged, "steps": fit.steps, "rejected_steps": fit.rejected,
+    } | fit.uncertainty.table()  # fmt: skip
 
 
 def draw(fit: CurveFit, path) -> Path:
@@ -73,20 +64,9 @@ def draw(fit: CurveFit, path) -> Path:
     return plot_fit(path, (fit.data.w, fit.data.sigma), fit.model, labels, title, fit.line)
 
 
-def _null(value):
-    return value if np.isfinite(value) else None
-
-
 def _ended(fit):
     return (
         f"converged in {fit.steps} steps"
         if fit.converged
         else f"NOT converged in {fit.steps} steps"
     )
-
-
-def _correlated(known):
-    count = len(known.names)
-    for i in range(count):
-        for j in range(i):
-            yield f"{known.names[j]}, {known.names[i]}: {known.correlation[i, j]:+.3f}"

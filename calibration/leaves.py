@@ -9,7 +9,7 @@ import numpy as np
 
 from calibration.energy import InitialSlope, fit_energy, fracture_energy
 from calibration.parameters import Free, Parameters
-from jaxmpm.errors import SceneError, did_you_mean
+from jaxmpm.errors import SceneError, near_or
 from jaxmpm.laws.damage import Damage
 from jaxmpm.parameters import names_of
 
@@ -68,9 +68,7 @@ def parameters(runs, free, start, fix, bounds) -> Parameters:
     scene = {name: value for run in reversed(runs) for name, value in known(run).items()}
     for name in (*free, *start, *fix, *bounds):
         if name not in scene:
-            near = did_you_mean(name, scene)
-            hint = f"did you mean {near}?" if near else f"expected one of {', '.join(sorted(scene))}"
-            raise SceneError(f"{name}: no parameter of the materials ({hint})")
+            raise SceneError(f"{name}: no parameter of the materials ({near_or(name, sorted(scene))})")
     for option, names in (("start", start), ("bounds", bounds)):
         for name in set(names) - set(free):
             raise SceneError(f"{option} {name}: expected a parameter that is free ({', '.join(free)})")

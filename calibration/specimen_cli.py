@@ -1,16 +1,16 @@
 """`jaxmpm calibrate specimen`: options in, words, files and pictures out."""
 
-import argparse
 import math
 import tomllib
 from pathlib import Path
 
+from calibration.options import count, named, positive, weight
 from jaxmpm.errors import SceneError, did_you_mean
 
 KEYS = {"scene", "set", "data", "window", "smooth"}  # of a specimen in a file of specimens
 
 
-def add(what, positive):
+def add(what):
     """The options, to the parser of `jaxmpm calibrate`."""
     part = what.add_parser(
         "specimen", help="materials of whole simulations from load-displacement curves", allow_abbrev=False
@@ -29,19 +29,19 @@ def add(what, positive):
         help="displacements between which the curve is fitted",
     )  # fmt: skip
     part.add_argument(
-        "--smooth", type=_weight, default=0.0, metavar="S",
+        "--smooth", type=weight, default=0.0, metavar="S",
         help="time over which simulated curves are averaged, a period or two of what vibrates",
     )  # fmt: skip
     part.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="overrides", help="change the scene")
     part.add_argument("--specimens", metavar="FILE", help="several, tables [[specimens]] of a TOML file")
-    part.add_argument("--work", type=_weight, default=0.0, metavar="W", help="weight of the area under the curve")
+    part.add_argument("--work", type=weight, default=0.0, metavar="W", help="weight of the area under the curve")
     part.add_argument("--method", choices=("gauss_newton", "adam"), default="gauss_newton", help="default: gauss_newton")
     part.add_argument(
         "--jacobian", choices=("secant", "tangent"), default="secant",
         help="at the end: secants over 2 %% each way (default), or the tangents of the runs",
     )  # fmt: skip
-    part.add_argument("--steps", type=_count, default=20, metavar="N", help="at most (default: 20)")
-    part.add_argument("--starts", type=_count, default=1, metavar="K", help="the given one and others, 50 %% about it")
+    part.add_argument("--steps", type=count, default=20, metavar="N", help="at most (default: 20)")
+    part.add_argument("--starts", type=count, default=1, metavar="K", help="the given one and others, 50 %% about it")
     part.add_argument("--twin", type=positive, metavar="NOISE", help="fit the start's own curve, with noise (0.02) on it")
     part.add_argument("--seed", type=int, default=0, help="of starts and noise")
     part.add_argument("--out", metavar="DIR", help="write fit.json and pictures")
@@ -58,7 +58,7 @@ def command(options) -> int:
         raise SceneError("--free: absent, expected a parameter to find such as --free concrete.ft")
     if options.twin and options.data:
         raise SceneError(f"--twin = {options.twin:g}: expected without --data")
-    start, fix = (_named(pairs, f"--{name}") for name, pairs in (("start", options.start), ("fix", options.fix)))
+    start, fix = (named(pairs, f"--{name}", "NAME=VALUE such as concrete.ft=3") for name, pairs in (("start", options.start), ("fix", options.fix)))
     bounds, several = _bounds(options.bounds), _several(options)
     from calibration import leaves, specimen, specimen_fit, specimen_report
     from jaxmpm.compilation import keep_compiled
@@ -121,17 +121,6 @@ def _one(scene, overrides, data, window, smooth):
     return {"scene": scene, "overrides": tuple(overrides), "data": data, "window": (low, high), "smooth": smooth}
 
 
-def _named(pairs, option) -> dict[str, float]:
-    found = {}
-    for pair in pairs:
-        name, _, text = pair.partition("=")
-        try:
-            found[name] = float(text)
-        except ValueError:
-            raise SceneError(f"{option} {pair}: expected NAME=VALUE such as concrete.ft=3") from None
-    return found
-
-
 def _bounds(pairs) -> dict[str, tuple[float, float]]:
     found = {}
     for pair in pairs:
@@ -144,17 +133,3 @@ def _bounds(pairs) -> dict[str, tuple[float, float]]:
             raise SceneError(f"--bounds {pair}: expected NAME=LOW:HIGH such as concrete.ft=2:5")
         found[name] = low, high
     return found
-
-
-def _weight(text: str) -> float:
-    value = float(text)
-    if not 0 <= value < math.inf:
-        raise argparse.ArgumentTypeError(f"{text}: expected a finite number, 0 or more")
-    return value
-
-
-def _count(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{text}: expected a whole number above 0")
-    return value

@@ -9,7 +9,7 @@ import numpy as np
 from calibration import leaves
 from calibration.plots import plot_fit
 from calibration.specimen_fit import SpecimenFit
-from calibration.uncertainty import Uncertainty, uncertainty
+from calibration.uncertainty import Uncertainty, finite, uncertainty
 from jaxmpm.errors import written
 
 
@@ -37,11 +37,7 @@ def words(fit: SpecimenFit, truth: dict | None = None) -> str:
         lines.append(f"{line} (start {float(start[name]):.4g}{off})")
     lines += [f"{name} = {value:.6g} fixed" for name, value in problem.parameters.fixed.items()]
     lines += [_judged(one, curve) for one, curve in zip(problem.specimens, fit.curves, strict=True)]
-    lines += [
-        f"correlation {about.names[j]}, {about.names[i]}: {about.correlation[i, j]:+.3f}"
-        for i in range(len(about.names)) for j in range(i)
-    ]  # fmt: skip
-    lines += starts_in_words(fit, truth) + [f"warning: {line}" for line in about.warnings]
+    lines += [*about.correlations(), *starts_in_words(fit, truth), *about.warned()]
     return "\n".join([*lines, *toml_lines(fit)])
 
 
@@ -91,17 +87,15 @@ def toml_lines(fit: SpecimenFit) -> list[str]:
 
 def table(fit: SpecimenFit, truth: dict | None = None) -> dict:
     """All numbers of a fit, for JSON; what is not finite as null."""
-    about, end, problem = known(fit), fit.end, fit.problem
+    end, problem = fit.end, fit.problem
     values = lambda theta: {k: float(v) for k, v in problem.parameters.values(theta).items()}
     return {
-        "parameters": fit.values, "free": about.names, "start": values(fit.start), "truth": truth,
+        "parameters": fit.values, "start": values(fit.start), "truth": truth,
         "loss": end.loss, "converged": end.converged, "steps": end.steps, "rejected_steps": end.rejected,
-        "standard_deviation": _finite(about.deviation), "covariance": [_finite(r) for r in about.covariance],
-        "correlation": [_finite(row) for row in about.correlation], "singular_values": _finite(about.singular),
-        "warnings": about.warnings, "scene_lines": toml_lines(fit), "jacobian": problem.jacobian,
+        "scene_lines": toml_lines(fit), "jacobian": problem.jacobian,
         "runs": problem.runs, "tangents": problem.tangents, "seconds": fit.seconds,
         "starts": [
-            {"start": values(start), "end": values(one.theta), "loss": _finite([one.loss])[0], "steps": one.steps,
+            {"start": values(start), "end": values(one.theta), "loss": finite([one.loss])[0], "steps": one.steps,
              "rejected_steps": one.rejected, "converged": one.converged}
             for start, one in fit.all
         ],
@@ -110,7 +104,7 @@ def table(fit: SpecimenFit, truth: dict | None = None) -> dict:
              "scale": list(one.scale), "fitted": list(_model(one, curve))}
             for one, curve in zip(problem.specimens, fit.curves, strict=True)
         ],
-    }  # fmt: skip
+    } | known(fit).table()  # fmt: skip
 
 
 def write(fit: SpecimenFit, directory, truth: dict | None = None) -> str:
@@ -135,7 +129,3 @@ def draw(fit: SpecimenFit, which: int, directory: Path) -> Path:
         path, (one.at, one.load), _model(one, curve), labels, f"{one.name}: {free}",
         tuple(part[:until] for part in line), one.half,
     )  # fmt: skip
-
-
-def _finite(numbers):
-    return [float(x) if np.isfinite(x) else None for x in numbers]

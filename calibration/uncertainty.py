@@ -22,6 +22,31 @@ class Uncertainty:
     singular: np.ndarray  # (k,) singular values of dr/d ln(parameter), largest first
     warnings: list[str]
 
+    def correlations(self) -> list[str]:
+        """A line for each pair of parameters."""
+        return [
+            f"correlation {self.names[j]}, {self.names[i]}: {self.correlation[i, j]:+.3f}"
+            for i in range(len(self.names)) for j in range(i)
+        ]  # fmt: skip
+
+    def warned(self) -> list[str]:
+        """The warnings as lines of a report."""
+        return [f"warning: {line}" for line in self.warnings]
+
+    def table(self) -> dict:
+        """All of it for JSON; what is not finite as null."""
+        return {
+            "free": self.names, "standard_deviation": finite(self.deviation),
+            "covariance": [finite(row) for row in self.covariance],
+            "correlation": [finite(row) for row in self.correlation],
+            "singular_values": finite(self.singular), "warnings": self.warnings,
+        }  # fmt: skip
+
+
+def finite(numbers) -> list:
+    """Numbers for JSON, None where one is not finite."""
+    return [float(x) if np.isfinite(x) else None for x in numbers]
+
 
 def uncertainty(fit: Descent, parameters: Parameters, scale: float = 1.0) -> Uncertainty:
     """What a fit says of its parameters.

@@ -177,13 +177,12 @@ def _load(pool, embedding, material, mean, size, precision, loading, number, kep
         band = unpacked(records[place], size)[0]
         strain = tensor.from_plane(_strain(mean, cells, used), size)
         found = balance.solve(laws, band, strain, precision)
-        answer = balance.settled(laws, band, strain, found)
-        bad = used & (answer.status == balance.FAILS)
+        rows, in_plane, status = answered(laws, band, strain, found, size)
+        bad = used & (status == balance.FAILS)
         failed = jnp.where(bad.any(), place[jnp.argmax(bad)].astype(failed.dtype), failed)
         target = jnp.where(used, place, capacity)
-        rows = packed(answer.band, in_plane_secant(laws, answer.band, size))
         records = records.at[target].set(rows, mode="drop")
-        stress = stress.at[:, target].set(tensor.to_plane(answer.stress), mode="drop")
+        stress = stress.at[:, target].set(in_plane, mode="drop")
         if kept is not None:
             kept = jax.tree.map(lambda all, own: all.at[..., target].set(own, mode="drop"), kept, found)
         return records, stress, failed, kept
@@ -191,6 +190,13 @@ def _load(pool, embedding, material, mean, size, precision, loading, number, kep
     carry = (pool.records, pool.stress, jnp.full((), -1, jnp.int32), kept)
     records, stress, failed, kept = lax.fori_loop(0, _blocks(number, LOADING), block, carry)
     return pool._replace(records=records, stress=stress), failed, kept
+
+
+def answered(laws, band, strain, found, size):
+    """Rows, in-plane stress and status of bands that have been solved."""
+    answer = balance.settled(laws, band, strain, found)
+    rows = packed(answer.band, in_plane_secant(laws, answer.band, size))
+    return rows, tensor.to_plane(answer.stress), answer.status
 
 
 def in_plane_secant(laws, band, size):

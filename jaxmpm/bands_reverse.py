@@ -119,9 +119,8 @@ def _load_back(kept, size, by_records, by_stress, by_mean):
         def answer_of(rows, embedding, strain):
             laws = bands.laws_of(embedding, material, cells)
             band, whole = bands.unpacked(rows, size)[0], tensor.from_plane(strain, size)
-            answer = balance.settled(laws, band, whole, balance.known(laws, band, whole, found))
-            rows = bands.packed(answer.band, bands.in_plane_secant(laws, answer.band, size))
-            return rows, tensor.to_plane(answer.stress)
+            solved = balance.known(laws, band, whole, found)
+            return bands.answered(laws, band, whole, solved, size)[:2]
 
         _, back = jax.vjp(answer_of, kept.records[place], kept.embedding, strain)
         push = jnp.where(used[:, None], by_records[place], 0.0), jnp.where(used, by_stress[:, place], 0.0)

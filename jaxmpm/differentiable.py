@@ -62,7 +62,7 @@ def simulate(model, state, dt, every, samples, reverse=False) -> History:
         dt: time step, s.
         every: steps from sample to sample, static.
         samples: static.
-        reverse: a version that can be differentiated in reverse, as slow to run as the other.
+        reverse: a version that can be differentiated in reverse too.
 
     Returns:
         History; differentiable in the model, the state and dt.
@@ -205,7 +205,7 @@ def check(history: History) -> None:
 
 
 def smooth_peak(load, width):
-    """A smooth maximum of a curve (samples,): width · ln of the mean of exp(load/width), plus what a flat top lacks.
+    """A smooth maximum of a curve (samples,): width · ln of the mean of exp(load/width).
 
     It is below the maximum by about width times the logarithm of how narrow the peak is in samples, and
     differentiable where the highest sample changes.

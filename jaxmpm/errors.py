@@ -46,6 +46,13 @@ def did_you_mean(word: Any, known: Iterable[str]) -> str:
     return by_small[near[0]] if near else ""
 
 
+def near_or(word: str, known: Iterable[str]) -> str:
+    """Advice on a word that is none of the known ones: the one that was meant, or all of them."""
+    known = list(known)
+    near = did_you_mean(word, known)
+    return f"did you mean {near}?" if near else f"expected one of {', '.join(known)}"
+
+
 def at(tree: Any, path: Sequence[str | int]) -> Any:
     """The value under `path` in nested tables and lists; KeyError or IndexError without."""
     for part in path:

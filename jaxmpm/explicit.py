@@ -17,7 +17,7 @@ from jax import lax
 from jaxmpm import bands, bands_reverse, grid, tensor
 from jaxmpm.grid import CellStress
 from jaxmpm.laws import band as band_law
-from jaxmpm.model import Model, State, cell_strain_vectors, fields, undamped_time_step
+from jaxmpm.model import Model, State, cell_strain_vectors, fields
 
 PRECISION = 1e-5  # traction left over in a band, as a share of its strength
 ROOM = 64  # the most cells that crack in one step; more wait for the next, most critical first
@@ -63,7 +63,7 @@ def _step(model, prepared, state, dt, reverse=False):
     grip = jnp.where(state.intact > 0, state.grip, keep * state.grip)
     cracked, mean = _open(model, prepared, state, pool, grip, elastic, stress, strain, dt)
     given_up = _let_go(n, prepared, state, cracked, strain.hourglass, dt)
-    stiffness = grid.hourglass_stiffness(prepared.direct, prepared.shear) * cracked.grip
+    stiffness = prepared.hourglass * cracked.grip
     stress = grid.CellStress(mean, tuple(stiffness * q for q in strain.hourglass))
     moved = _move(model, prepared, cracked, stress, dt)
     ledger = moved.work._replace(released=moved.work.released + given_up)
@@ -76,10 +76,9 @@ def _let_go(n, prepared, state, cracked, modes, dt):
     A band answers the mean strain alone. What the hourglass modes bear at onset goes over some
     steps: at once it would start waves, which say little of the material and much of the mesh.
     """
-    stiffness = grid.hourglass_stiffness(prepared.direct, prepared.shear)
     rates = grid.strain(state.velocity, n.cell).hourglass  # twice the energy half a step ago:
     product = sum(q * (q - dt * rate) for q, rate in zip(modes, rates, strict=True))
-    return jnp.vdot(state.grip - cracked.grip, stiffness * product) * (0.5 * n.thickness)
+    return jnp.vdot(state.grip - cracked.grip, prepared.hourglass * product) * (0.5 * n.thickness)
 
 
 def intact_stress(prepared, state, strain, size):
@@ -88,7 +87,7 @@ def intact_stress(prepared, state, strain, size):
     direct, cross = prepared.direct * state.intact, prepared.cross * state.intact
     shear = prepared.shear * state.intact
     mean = (direct * xx + cross * yy, cross * xx + direct * yy, shear * xy)
-    stiffness = grid.hourglass_stiffness(prepared.direct, prepared.shear) * state.grip
+    stiffness = prepared.hourglass * state.grip
     if size == 4:
         mean = (*mean, cross * (xx + yy))
     return CellStress(mean, tuple(stiffness * q for q in strain.hourglass))
@@ -112,7 +111,7 @@ def _move(model, prepared, state, stress, dt):
         damping = model.damping * jnp.abs(push) * jnp.sign(state.velocity)
         push = push - damping
     if model.viscosity is not None:
-        viscous, lost = _viscous(model, prepared, state, dt)
+        viscous, lost = _viscous(model.numerics, prepared, state, dt)
         push = push - viscous
     velocity = state.velocity + (dt * prepared.mobility) * push
     flat = velocity.reshape(-1)
@@ -138,17 +137,15 @@ def _move(model, prepared, state, stress, dt):
     return state._replace(displacement=displacement, velocity=velocity, work=ledger)
 
 
-def _viscous(model, prepared, state, dt):
+def _viscous(n, prepared, state, dt):
     """Nodal forces of the viscosity of intact cells, and the work (N·mm) that they take in a step.
 
     The stress is 2ξ/ω times that of the rate of strain, ω = 2/Δt_s the highest frequency: the
     share ξ of critical damping there, less in proportion at lower ones, and none of a rigid motion.
     """
-    n = model.numerics
     rate = grid.strain(state.velocity, n.cell)
     stress = intact_stress(prepared, state, rate, 3)
-    time = model.viscosity * undamped_time_step(model)
-    stress = grid.CellStress(*(tuple(time * s for s in part) for part in stress))
+    stress = grid.CellStress(*(tuple(prepared.relaxation * s for s in part) for part in stress))
     power = sum(jnp.vdot(s, e) for s, e in zip(stress.mean, rate.mean, strict=True)) * n.cell**2
     power += sum(jnp.vdot(s, q) for s, q in zip(stress.hourglass, rate.hourglass, strict=True))
     return grid.internal_force(stress, n.cell, n.thickness), power * n.thickness * dt

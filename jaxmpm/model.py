@@ -89,9 +89,11 @@ class Fields(NamedTuple):
     direct: jax.Array  # C₁₁, MPa, 0 in empty cells, (nx, ny)
     cross: jax.Array  # C₁₂
     shear: jax.Array  # C₃₃
+    hourglass: jax.Array  # stiffness of either hourglass amplitude per thickness, MPa
     embedding: Embedding  # laws of every cell, leaves (nx, ny)
     mass: jax.Array  # lumped, tonne, (nx+1, ny+1)
     mobility: jax.Array  # 1/mass where free, else 0, (2, nx+1, ny+1)
+    relaxation: jax.Array | None  # time, s, that makes a viscous stress of the rate of an elastic one
 
 
 def fields(model):
@@ -105,7 +107,9 @@ def fields(model):
     density = jnp.where(filled, model.density[model.material], 0.0)
     mass = grid.spread(density) * (n.cell**2 * n.thickness)
     mobility = model.free * jnp.where(mass > 0, 1 / jnp.where(mass > 0, mass, 1.0), 0.0)
-    return Fields(direct, cross, shear, laws, mass, mobility)
+    hourglass = grid.hourglass_stiffness(direct, shear)
+    relaxation = None if model.viscosity is None else model.viscosity * undamped_time_step(model)
+    return Fields(direct, cross, shear, hourglass, laws, mass, mobility, relaxation)
 
 
 def stable_time_step(model):

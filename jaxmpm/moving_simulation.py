@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxmpm import bands, compilation, hand_over, model as models, moving, observe_moving
-from jaxmpm import explicit
+from jaxmpm import explicit, walls
 from jaxmpm.errors import RunError
 from jaxmpm.fragments import fragments
 from jaxmpm.points import Points, Room, listed, slots_of
@@ -16,7 +16,6 @@ from jaxmpm.simulation import FRAME_FIELDS, LOST_LIMIT, check_energy, check_fini
 
 MOVING_FIELDS = FRAME_FIELDS | {"side": 1, "velocity": 3}
 STABLE = 0.5  # of the step that is stable for a cell full of matter: nodes at an edge carry less
-SIDES = (("left", "right"), ("bottom", "top"))
 
 
 @dataclass
@@ -185,7 +184,7 @@ class MovingSimulation:
         n = self.model.numerics
         low, cells = np.reshape(self.layout.origin, (2, 1)), np.reshape(n.cells, (2, 1))
         stays = np.ones(position.shape[1], bool)
-        for axis, sides in enumerate(SIDES):
+        for axis, sides in enumerate(walls.BY_AXIS):
             y = (position[axis] - low[axis]) / n.cell
             edges = (1e-6, float(cells[axis, 0]) - 1e-6)
             for side, beyond, edge in zip(sides, (y < 0, y > cells[axis]), edges, strict=True):

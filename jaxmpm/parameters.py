@@ -7,7 +7,7 @@ import dataclasses
 
 import jax.numpy as jnp
 
-from jaxmpm.errors import SceneError, did_you_mean
+from jaxmpm.errors import SceneError, near_or
 
 
 def names_of(model, materials) -> list[str]:
@@ -63,8 +63,6 @@ def _part(model, leaf):
 def _parsed(model, materials, name):
     known = names_of(model, materials)
     if name not in known:
-        near = did_you_mean(name, known)
-        hint = f"did you mean {near}?" if near else f"expected one of {', '.join(known)}"
-        raise SceneError(f"{name}: no parameter of the model ({hint})")
+        raise SceneError(f"{name}: no parameter of the model ({near_or(name, known)})")
     material, _, leaf = name.rpartition(".")
     return list(materials).index(material), leaf

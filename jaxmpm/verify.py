@@ -62,13 +62,13 @@ def run(names=(), angle=None, cell=None, show: Callable[[str], None] | None = No
     return rows
 
 
-def _row(check, value, expected, limit, side="") -> dict:
-    """One row; the error is relative where something other than zero is expected.
+def _row(check, value, expected, limit, side="", least=0.0) -> dict:
+    """One row; the error is relative where something other than zero is expected, to `least` if that is more.
 
     With a `side`, "≤" or "≥", only what is on the other side of what is expected is an error, absolute.
     """
     value, expected = float(value), float(expected)
-    error = abs(value - expected) / (abs(expected) if expected else 1.0)
+    error = abs(value - expected) / (max(abs(expected), least) or 1.0)
     if side:
         error = max((value - expected) * (1 if side == "≤" else -1), 0.0)
     passed = bool(np.isfinite(value) and error <= limit)

@@ -6,7 +6,8 @@ A body that comes from elsewhere goes through them there: it must move as points
 import numpy as np
 from scipy import ndimage
 
-SIDES = (("left", 0, 0), ("right", 0, -1), ("bottom", 1, 0), ("top", 1, -1))  # axis, which end of it
+BY_AXIS = (("left", "right"), ("bottom", "top"))  # low and high end of each axis
+SIDES = [(side, axis, -end) for axis, sides in enumerate(BY_AXIS) for end, side in enumerate(sides)]
 CORNERS = np.ones((3, 3), int)  # cells hang together by a node
 
 

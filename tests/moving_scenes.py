@@ -1,5 +1,10 @@
 """Small scenes whose points move."""
 
+from contextlib import contextmanager
+
+import pytest
+
+from jaxmpm.moving_simulation import MovingSimulation
 from jaxmpm.scene import Scene
 
 CONCRETE = {
@@ -29,6 +34,23 @@ def scene(bodies, size=(60.0, 60.0), cell=5.0, walls=None, **more):
     for key, value in more.items():
         tree[key] = tree[key] | value if key in ("solver", "output", "grid") else value
     return Scene.from_dict(tree)
+
+
+@contextmanager
+def interrupted(monkeypatch, reading):
+    """Inside, a run of moving points is interrupted at so many readings, which ends the block."""
+    read, calls = MovingSimulation.read, []
+
+    def stops(self):
+        calls.append(1)
+        if len(calls) == reading:
+            raise KeyboardInterrupt
+        return read(self)
+
+    monkeypatch.setattr(MovingSimulation, "read", stops)
+    with pytest.raises(KeyboardInterrupt):
+        yield
+    monkeypatch.setattr(MovingSimulation, "read", read)
 
 
 def notched(**solver):

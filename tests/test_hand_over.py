@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from moving_scenes import notched
+from moving_scenes import interrupted, notched
 
 from jaxmpm import cracks, results, vtkhdf
 from jaxmpm.fragments import fragments
@@ -66,22 +66,9 @@ def test_frames_of_both_kinds_are_in_one_file(runs):
 
 
 def test_a_run_of_moving_points_goes_on_after_a_stop(tmp_path, runs, monkeypatch):
-    from jaxmpm.moving_simulation import MovingSimulation
-
     scene = notched(frame="auto", hand_over_displacement=0.009)
-    read = MovingSimulation.read
-    calls = []
-
-    def stops(self):
-        calls.append(1)
-        if len(calls) == 8:
-            raise KeyboardInterrupt
-        return read(self)
-
-    monkeypatch.setattr(MovingSimulation, "read", stops)
-    with pytest.raises(KeyboardInterrupt):
+    with interrupted(monkeypatch, 8):
         run_scene(scene, tmp_path, progress=False)
-    monkeypatch.setattr(MovingSimulation, "read", read)
     again = run_scene(scene, tmp_path, resume=True, progress=False)
     assert again["frame"] == "total, then updated" and again["status"] == "completed"
     whole = results.read_history(runs["auto"][1] / "history.csv")

@@ -1,7 +1,7 @@
 """Bodies that fall to walls, and what the total frame may not be asked for."""
 
 import pytest
-from moving_scenes import block, scene
+from moving_scenes import block, interrupted, scene
 
 from jaxmpm import results, walls
 from jaxmpm.errors import RunError, SceneError
@@ -36,20 +36,8 @@ def test_a_soft_block_falls_bounces_and_rises_again(tmp_path):
 def test_the_error_is_relative_to_the_most_energy_met_after_a_restart_too(tmp_path, monkeypatch):
     tree = dropped(40, frame="updated", duration=0.14, output={"samples": 20, "frames": 2})
     whole = run_scene(tree, tmp_path / "whole", progress=False)
-    from jaxmpm.moving_simulation import MovingSimulation
-
-    read, calls = MovingSimulation.read, []
-
-    def stops(self):
-        calls.append(1)
-        if len(calls) == 17:
-            raise KeyboardInterrupt
-        return read(self)
-
-    monkeypatch.setattr(MovingSimulation, "read", stops)
-    with pytest.raises(KeyboardInterrupt):
+    with interrupted(monkeypatch, 17):
         run_scene(tree, tmp_path / "parts", progress=False)
-    monkeypatch.setattr(MovingSimulation, "read", read)
     assert run_scene(tree, tmp_path / "parts", resume=True, progress=False)["energy_error"] == whole["energy_error"]
     assert whole["external_work"] < 0.5 * 2.8  # what it has met before is more
 
