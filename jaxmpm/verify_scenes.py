@@ -120,7 +120,7 @@ def debris(steps=STEPS) -> Iterator[dict]:
 
 def brazil() -> Iterator[dict]:
     """Energy balance of the disc that splits and flies apart."""
-    summary = _summary("brazil", ["output.samples=100", "output.frames=2"])
+    summary = _summary("brazil", ["output.frames=2"])  # its own samples: between them it must not pass a cell
     yield row("energy balance, brazil", summary["largest_energy_error"], 0.0, 0.02)
     yield row("points lost, brazil", summary["points_left"]["points"], 0.0, 0.0)
 
