@@ -17,6 +17,7 @@ without bound in it: it is refused. Viscosity does the same service smoothly.
 """
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -68,13 +69,12 @@ def simulate(model, state, dt, every, samples, reverse=False) -> History:
         History; differentiable in the model, the state and dt.
     """
     prepared = models.fields(model)
+    go, read = (_onward, jax.checkpoint(observe.read)) if reverse else (_steps, observe.read)
 
     def sample(carry, k):
-        state, status = _chunk(model, prepared, dt, every, reverse)(*carry, (k + 1) * every)
-        return (state, status), (observe.read(model, state, dt), status)
+        state, status = go(every, model, prepared, dt, *carry, (k + 1) * every)
+        return (state, status), (read(model, state, dt), status)
 
-    if reverse:
-        sample = jax.checkpoint(sample)
     (_, _), (reading, status) = lax.scan(sample, (state, _status(state, WELL)), jnp.arange(samples))
     well = status == WELL
     told = {
@@ -85,27 +85,38 @@ def simulate(model, state, dt, every, samples, reverse=False) -> History:
     return History(**told, cracked=reading.cracked, status=status)
 
 
-def _chunk(model, prepared, dt, every, reverse):
-    """The steps from one sample to the next: (state, status, until) -> (state, status)."""
+def _steps(every, model, prepared, dt, state, status, until):
+    """The steps from one sample to the next."""
+    on = lambda s: (s.step < until) & (_status(s, status) == WELL)  # noqa: E731
+    state = lax.while_loop(on, lambda s: explicit._step(model, prepared, s, dt), state)
+    return state, _status(state, status)
 
-    def on(state, status):
-        return _status(state, status) == WELL
 
-    def forward(state, status, until):
-        go = lambda s: (s.step < until) & on(s, status)  # noqa: E731
-        state = lax.while_loop(go, lambda s: explicit._step(model, prepared, s, dt), state)
-        return state, _status(state, status)
+# On the way back they are made again, as many as there are, with all that their derivatives need.
+_onward = jax.custom_vjp(_steps, nondiff_argnums=(0,))
+
+
+def _onward_kept(every, *start):
+    return _steps(every, *start), start
+
+
+def _onward_back(every, start, by):
+    return jax.vjp(partial(_taped, every), *start)[1](by)
+
+
+_onward.defvjp(_onward_kept, _onward_back)
+
+
+def _taped(every, model, prepared, dt, state, status, until):
+    """As `_steps`, for differentiation in reverse."""
 
     def step(carry, _):
         state, status = carry
         state = explicit._step(model, prepared, state, dt, reverse=True)
         return (state, _status(state, status)), None
 
-    def backward(state, status, until):
-        taped = step if _tape(state) * every < TAPE else jax.checkpoint(step)
-        return lax.scan(taped, (state, status), None, length=every)[0]
-
-    return backward if reverse else forward
+    taped = step if _tape(state) * every < TAPE else jax.checkpoint(step)
+    return lax.scan(taped, (state, status), None, length=every)[0]
 
 
 def _tape(state):

@@ -30,6 +30,7 @@ class Reading(NamedTuple):
     gradient_cell: jax.Array  # its flat index
     opening: jax.Array  # largest displacement jump of a band, mm
     opening_cell: jax.Array
+    opening_rate: jax.Array  # how fast the edges of that cell part, mm/s
     displacement: jax.Array  # largest of a node, mm
 
     def energies(self):
@@ -54,6 +55,8 @@ def read(model, state, dt) -> Reading:
     half_step = jnp.vdot(force, state.velocity) * dt / 2
     gradient = _gradient(at.displacement, n.cell) * state.intact
     jump = jnp.where(at.used, jnp.hypot(*at.bands.jump), 0.0)
+    widest = state.pool.cell[jump.argmax()]
+    parting = _gradient(state.velocity, n.cell).reshape(-1)[widest] * n.cell
     return Reading(
         time=(state.step - 1) * dt,
         gauges=_gauges(model, at, force),
@@ -67,7 +70,8 @@ def read(model, state, dt) -> Reading:
         gradient=gradient.max(),
         gradient_cell=gradient.argmax(),
         opening=jump.max(),
-        opening_cell=state.pool.cell[jump.argmax()],
+        opening_cell=widest,
+        opening_rate=parting,
         displacement=jnp.where(at.prepared.mass > 0, jnp.hypot(*at.displacement), 0.0).max(),
     )
 
@@ -98,10 +102,10 @@ def _gauges(model, at, internal):
     return {name: source[g.reaction][g.dofs] @ g.weights for name, g in model.gauges.items()}
 
 
-def _gradient(displacement, cell):
-    """Largest component of the displacement gradient in each cell, along its edges, (nx, ny)."""
-    along_x = jnp.abs(jnp.diff(displacement, axis=1)).max(0) / cell
-    along_y = jnp.abs(jnp.diff(displacement, axis=2)).max(0) / cell
+def _gradient(field, cell):
+    """Largest component of the gradient of displacement or velocity in each cell, along its edges, (nx, ny)."""
+    along_x = jnp.abs(jnp.diff(field, axis=1)).max(0) / cell
+    along_y = jnp.abs(jnp.diff(field, axis=2)).max(0) / cell
     by_x = jnp.maximum(along_x[:, :-1], along_x[:, 1:])
     by_y = jnp.maximum(along_y[:-1], along_y[1:])
     return jnp.maximum(by_x, by_y)

@@ -41,6 +41,7 @@ def read(model, state, dt, sets) -> Reading:
         gradient_cell=jnp.zeros((), jnp.int32),
         opening=opening,
         opening_cell=jnp.zeros((), jnp.int32),
+        opening_rate=none,
         displacement=none,
     )
 

@@ -138,8 +138,12 @@ class Simulation:
                 f"the displacement gradient at {self.place(reading.gradient_cell)} is "
                 f"{float(reading.gradient):.3g}, more than {solver.hand_over_gradient:g}"
             )
-        if reading.opening > OPEN * cell:
-            return f"a crack has opened by {float(reading.opening):.3g} mm, nearly a cell"
+        by_next = reading.opening_rate * solver.duration / self.scene.output.samples
+        if reading.opening + min(by_next, reading.opening) > OPEN * cell:
+            return (
+                f"a crack has opened by {float(reading.opening):.3g} mm and goes on at "
+                f"{float(reading.opening_rate):.3g} mm/s, nearly a cell by the next sample"
+            )
         return ""
 
     def place(self, cell: int) -> str:

@@ -106,9 +106,10 @@ def total_runner(scene, dtype):
     elastic = Elastic(one(scene.young / (1 - scene.poisson**2)), one(nu))
     embedding = Embedding(elastic, Damage(*map(one, (1.0, 1.0, 1.0, 1.0))))
     model = total_model.Model(
-        embedding, one(scene.density), jnp.zeros((), dtype), jnp.zeros(2, dtype), jnp.zeros((cells, cells), jnp.int32),
-        jnp.asarray(free, dtype), (), (), {},
-        total_model.Numerics(size, 1.0, PLANE_STRESS, "fixed", 1, False),
+        embedding=embedding, density=one(scene.density), damping=None, viscosity=None,
+        gravity=jnp.zeros(2, dtype), material=jnp.zeros((cells, cells), jnp.int32),
+        free=jnp.asarray(free, dtype), displacements=(), forces=(), gauges={},
+        numerics=total_model.Numerics(size, 1.0, PLANE_STRESS, "fixed", 1, False),
     )  # fmt: skip
     dt = jnp.asarray(scene.dt, dtype)
     first = total_model.first_state(model, free * scene.velocities(x), capacity=1)
