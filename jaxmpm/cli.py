@@ -155,10 +155,12 @@ def report(summary: dict, directory) -> str:
     """The end of a run in a few lines."""
     lines = []
     if "peak_load" in summary:
-        lines.append(
-            f"peak {summary['peak_load'] / 1e3:.3f} kN at {summary['displacement_at_peak']:.4f} mm, "
-            f"{summary['final_load'] / 1e3:.3f} kN at the end ({summary['final_displacement']:.4f} mm)"
-        )
+        load = lambda value: f"{value / 1e3:.3f} kN" if summary["load_unit"] == "N" else f"{value:.3f} MPa"  # noqa: E731
+        travel = lambda value: f"{value:.4f} mm" if summary["displacement_unit"] else f"{value:.2e}"  # noqa: E731
+        peak, end = ((load(summary[f]), travel(summary[u])) for f, u in (
+            ("peak_load", "displacement_at_peak"), ("final_load", "final_displacement")
+        ))  # fmt: skip
+        lines.append(f"peak {peak[0]} at {peak[1]}, {end[0]} at the end ({end[1]})")
     if summary.get("reference_inside") is not None:
         lines.append(f"{summary['reference_inside']:.0%} of the curve inside {summary['reference']}")
     cracked = f"{summary['cracked']} of {summary['cells']} cells cracked, " if summary["can_crack"] else ""

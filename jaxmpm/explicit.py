@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jaxmpm import bands, bands_reverse, grid, tensor
+from jaxmpm import bands, bands_reverse, grid, periodic, tensor
 from jaxmpm.grid import CellStress
 from jaxmpm.laws import band as band_law
 from jaxmpm.model import Model, State, cell_strain_vectors, fields
@@ -105,6 +105,8 @@ def _move(model, prepared, state, stress, dt):
     n = model.numerics
     time, after = state.step * dt, (state.step + 1) * dt  # of the forces; of the new positions
     internal = grid.internal_force(stress, n.cell, n.thickness)
+    if model.macro is not None:
+        return _move_periodic(model, prepared, state, internal, dt)
     external = external_force(model, prepared.mass, time).reshape(-1)
     push, lost = external.reshape(internal.shape) - internal, 0.0
     if model.damping is not None:
@@ -134,6 +136,18 @@ def _move(model, prepared, state, stress, dt):
         external=state.work.external + work, damping=state.work.damping + lost
     )
     displacement = state.displacement + dt * velocity
+    return state._replace(displacement=displacement, velocity=velocity, work=ledger)
+
+
+def _move_periodic(model, prepared, state, internal, dt):
+    """The same for a periodic cell, which its mean strain drives."""
+    lost = 0.0
+    if model.viscosity is not None:
+        viscous, lost = _viscous(model.numerics, prepared, state, dt)
+        internal = internal + viscous
+    displacement, velocity, work, damped = periodic.move(model, prepared, state, internal, dt)
+    external, damping = state.work.external + work, state.work.damping + lost + damped
+    ledger = state.work._replace(external=external, damping=damping)
     return state._replace(displacement=displacement, velocity=velocity, work=ledger)
 
 

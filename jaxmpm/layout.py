@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from jaxmpm import layout_macro
 from jaxmpm.errors import Problems, written
 from jaxmpm.fill import boundary_length, cells_at_nodes, fill
 from jaxmpm.scene import Force, History, Scene, direction_cosines
@@ -32,7 +33,8 @@ class Drive:
 class Gauge:
     """A reading, the sum of weights times field[dofs].
 
-    The field is the internal force (N) for kind "reaction", otherwise the displacement (mm).
+    The field is the internal force (N) for kind "reaction", otherwise the displacement (mm). `unit` is
+    that of the reading.
     """
 
     name: str
@@ -75,6 +77,8 @@ def lay_out(scene: Scene) -> Layout:
     """The scene on its grid; raises one SceneError that lists every geometric mistake."""
     work = _Work(scene)
     owner = fill(scene, work.problems)
+    if scene.macro and (owner < 0).any() and not work.problems.lines:
+        work.problems.add(("macro", "boundary"), "bodies that fill the grid", "set grid.size and origin to the volume's")
     # Sets and loads on a body that came out wrong would only repeat its mistakes.
     work.problems.raise_any()
     work.place(owner)
@@ -165,6 +169,8 @@ class _Work:
     def held(self) -> np.ndarray:
         """Dofs of the supports."""
         everything = [np.empty(0, np.int64), self.at_walls()]
+        if self.scene.macro and self.scene.macro.boundary == "edges":
+            everything.append(layout_macro.edges_held(self.scene.macro, self.filled.shape))
         for i, support in enumerate(self.scene.supports):
             parts = [self.along(self.sets[support.set], axis)[0] for axis in support.fix]
             dofs = np.unique(np.concatenate(parts))
@@ -191,6 +197,10 @@ class _Work:
             dofs, weights = self.along(self.sets[load.set], load.direction, both=True)
             self.acting.append((("displacements", i), "move", dofs))
             drives.append(Drive(dofs, weights, load.history))
+        macro = self.scene.macro
+        if macro and macro.boundary == "edges":
+            moved = layout_macro.edges_moved(macro, self.filled.shape, self.scene.grid.cell)
+            drives.append(Drive(*moved, macro.history))
         return tuple(drives)
 
     def forces(self) -> tuple[Drive, ...]:
@@ -251,6 +261,9 @@ class _Work:
 
     def _gauges(self) -> Iterator[Gauge]:
         for name, gauge in self.scene.gauges.items():
+            if gauge.kind in ("mean_stress", "mean_strain"):
+                yield self._mean(name, gauge)
+                continue
             if gauge.kind == "relative_displacement":
                 nodes, weights = self._two_points(name, gauge.points), np.array([-1.0, 1.0])
             else:
@@ -263,6 +276,17 @@ class _Work:
             else:
                 repeats = len(dofs) // max(len(nodes), 1)
                 yield Gauge(name, gauge.kind, dofs, cosines * np.tile(weights, repeats), "mm")
+
+    def _mean(self, name: str, gauge) -> Gauge:
+        """A gauge of mean stress or strain."""
+        grid, shape = self.scene.grid, self.filled.shape
+        if gauge.kind == "mean_stress":
+            weights = layout_macro.stress_weights(gauge.component, shape, grid.cell, grid.thickness)
+        else:
+            weights = layout_macro.strain_weights(gauge.component, shape, grid.cell)
+        dofs = np.flatnonzero(weights)
+        kind, unit = ("reaction", "MPa") if gauge.kind == "mean_stress" else ("displacement", "")
+        return Gauge(name, kind, dofs, weights[dofs], unit)
 
     def _prescribed(self, name: str, dofs: np.ndarray, cosines: np.ndarray) -> tuple:
         # The internal force of a free node is no reaction but its inertia.

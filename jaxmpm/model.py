@@ -13,11 +13,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmpm import band_laws, bands, grid, tensor
+from jaxmpm import band_laws, bands, grid, periodic, tensor
 from jaxmpm.bands import Pool
 from jaxmpm.laws.band import Embedding
 from jaxmpm.laws.elastic import Elastic
+from jaxmpm.layout import Drive
 from jaxmpm.loads import Load
+from jaxmpm.macro import COMPONENTS
 
 
 @jax.tree_util.register_dataclass
@@ -57,6 +59,7 @@ class Model:
     displacements: tuple[Load, ...]
     forces: tuple[Load, ...]
     gauges: dict[str, Gauge]
+    macro: periodic.Macro | None  # what drives the mean strain of a periodic cell
     numerics: Numerics = field(metadata={"static": True})
 
 
@@ -106,7 +109,8 @@ def fields(model):
     )
     density = jnp.where(filled, model.density[model.material], 0.0)
     mass = grid.spread(density) * (n.cell**2 * n.thickness)
-    mobility = model.free * jnp.where(mass > 0, 1 / jnp.where(mass > 0, mass, 1.0), 0.0)
+    moved = mass if model.macro is None else periodic.fold(mass)
+    mobility = model.free * jnp.where(mass > 0, 1 / jnp.where(mass > 0, moved, 1.0), 0.0)
     hourglass = grid.hourglass_stiffness(direct, shear)
     relaxation = None if model.viscosity is None else model.viscosity * undamped_time_step(model)
     return Fields(direct, cross, shear, hourglass, laws, mass, mobility, relaxation)
@@ -143,7 +147,7 @@ def first_state(model, velocity, capacity=None):
     capacity = capacity or max(1024, model.material.size // 4)
     velocity = jnp.asarray(velocity, dtype)
     zero = jnp.zeros((), dtype)
-    kinetic = (fields(model).mass * (velocity**2).sum(0)).sum() / 2
+    kinetic = kinetic_energy(model, fields(model).mass, velocity)
     return State(
         step=jnp.zeros((), jnp.int32),
         displacement=jnp.zeros_like(model.free),
@@ -155,6 +159,13 @@ def first_state(model, velocity, capacity=None):
         work=Ledger(kinetic, zero, zero, zero),
         failed=jnp.full((), -1, jnp.int32),
     )
+
+
+def kinetic_energy(model, mass, velocity):
+    """Of the nodes, N·mm."""
+    if model.macro is not None:
+        return periodic.kinetic_energy(mass, velocity, model.numerics.cell)
+    return (mass * (velocity**2).sum(0)).sum() / 2
 
 
 def empty_pool(model, capacity):
@@ -177,6 +188,9 @@ def from_layout(scene, layout):
     free[layout.held] = 0
     for drive in layout.displacements:
         free[drive.dofs] = 0
+    free = free.reshape(2, nx + 1, ny + 1)
+    if _is_periodic(scene):  # each node once
+        free[:, -1, :] = free[:, :, -1] = 0
     return Model(
         embedding=_embedding(scene, materials, array),
         density=array([material.density for material in materials.values()]),
@@ -184,9 +198,10 @@ def from_layout(scene, layout):
         viscosity=array(scene.solver.viscosity) if scene.solver.viscosity else None,
         gravity=array(scene.gravity),
         material=jnp.asarray(layout.material, jnp.int32),
-        free=array(free.reshape(2, nx + 1, ny + 1)),
+        free=array(free),
         displacements=tuple(_load(drive, array) for drive in layout.displacements),
         forces=tuple(_load(drive, array) for drive in layout.forces),
+        macro=_macro(scene, array),
         gauges={
             gauge.name: Gauge(
                 jnp.asarray(gauge.dofs, jnp.int32), array(gauge.weights), gauge.kind == "reaction"
@@ -212,6 +227,23 @@ def _embedding(scene, materials, array):
         law=band_laws.stacked(materials, scene.grid, scene.bands, array),
         release=array([scene.bands.release] * len(bulk)) if scene.bands.release else None,
         closes=scene.bands.closes,
+    )
+
+
+def _is_periodic(scene):
+    return scene.macro is not None and scene.macro.boundary == "periodic"
+
+
+def _macro(scene, array):
+    """What drives the mean strain of a periodic cell; edges are driven by displacements."""
+    if not _is_periodic(scene):
+        return None
+    driven = scene.macro.strain.driven()
+    none = np.empty(0, np.int64)
+    return periodic.Macro(
+        load=_load(Drive(none, none, scene.macro.history), array),
+        strain=array([driven.get(name, 0.0) for name in COMPONENTS]),
+        driven=array([name in driven for name in COMPONENTS]),
     )
 
 

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 
 from jaxmpm import bands, explicit, grid
 from jaxmpm.laws import band as band_law
-from jaxmpm.model import cell_strain_vectors, fields
+from jaxmpm.model import cell_strain_vectors, fields, kinetic_energy
 
 
 class Reading(NamedTuple):
@@ -62,7 +62,7 @@ def read(model, state, dt) -> Reading:
         gauges=_gauges(model, at, force),
         external=state.work.external + state.work.initial,
         stored=volume * (mean / 2 + total(stored)) + n.thickness * bend / 2 + half_step,
-        kinetic=(at.prepared.mass * (state.velocity**2).sum(0)).sum() / 2,
+        kinetic=kinetic_energy(model, at.prepared.mass, state.velocity),
         dissipated=volume * total(dissipated) + state.work.released,
         damping=state.work.damping,
         contact=jnp.zeros_like(state.work.damping),

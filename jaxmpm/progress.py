@@ -55,8 +55,8 @@ class Progress:
         row = dict(zip((name for name, _ in recorder.columns), recorder.rows[-1], strict=True))
         text = f"{share:4.0%}"
         if recorder.scene.response:
-            names = recorder.scene.response
-            text += f"  {row[names.displacement]:.4f} mm  {row[names.load]:9.1f} N"
+            names, (load, displacement) = recorder.scene.response, recorder.units()
+            text += f"  {written(row[names.displacement], displacement)}  {written(row[names.load], load):>11}"
         if recorder.can_crack:
             text += f"  {row['cracked']} cracked"
         text += f"  energy error {row['energy_error']:.1e}  {left:.0f} s left"
@@ -73,3 +73,8 @@ class Progress:
         if self.open:
             print(file=self.stream)
             self.open = False
+
+
+def written(value: float, unit: str) -> str:
+    """A number of the response, as exact as its unit deserves: N, mm, MPa or a strain."""
+    return {"N": f"{value:.1f} N", "mm": f"{value:.4f} mm", "MPa": f"{value:.3f} MPa"}.get(unit, f"{value:.3e}")

@@ -307,6 +307,11 @@ class Recorder:
         response = self.scene.response
         return pick(response.load), pick(response.displacement)
 
+    def units(self) -> tuple[str, str]:
+        """Units of the response's load and displacement."""
+        units = dict(self.columns)
+        return units[self.scene.response.load], units[self.scene.response.displacement]
+
     def frame_name(self) -> str:
         """The frame of the run, in words."""
         if not self.moves:
@@ -331,7 +336,7 @@ class Recorder:
             load, displacement = self.response()
             peak = int(np.nanargmax(np.abs(load))) if np.isfinite(load).any() else 0
             out["response"] = scene.response.model_dump(include={"load", "displacement"})
-            out["load_unit"] = "N"
+            out["load_unit"], out["displacement_unit"] = self.units()
             out |= {"peak_load": load[peak], "displacement_at_peak": displacement[peak]}
             out |= {"final_load": load[-1], "final_displacement": displacement[-1]}
             if reference := scene.response.reference:

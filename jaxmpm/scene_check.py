@@ -162,6 +162,7 @@ def check(tree: dict[str, Any], problems: Problems) -> None:
     _check_one_law(tree, problems)
     _check_something_happens(tree, problems)
     check_moving(tree, problems)
+    _check_macro(tree, problems)
 
 
 def _entries(tree: dict, key: str) -> Iterator[tuple[Any, dict]]:
@@ -202,7 +203,7 @@ def _check_names(tree: dict, problems: Problems) -> None:
                 problems.name((user, entry, key), word, known, what)
 
 
-_GAUGES = ("reaction", "displacement", "relative_displacement")
+_LOADS, _DISPLACEMENTS = ("reaction", "mean_stress"), ("displacement", "relative_displacement", "mean_strain")
 
 
 def _check_response(tree: dict, problems: Problems) -> None:
@@ -212,10 +213,10 @@ def _check_response(tree: dict, problems: Problems) -> None:
         word = response.get(key) if isinstance(response, dict) else None
         if not isinstance(word, str) or _names(tree, "gauges") is None:
             continue
-        if word in kinds and kinds[word] not in _GAUGES:
+        if word in kinds and kinds[word] not in _LOADS + _DISPLACEMENTS:
             continue
         what = f"the name of a {'reaction' if key == 'load' else 'displacement'} gauge"
-        fitting = [n for n, kind in kinds.items() if (kind == "reaction") == (key == "load")]
+        fitting = [n for n, kind in kinds.items() if (kind in _LOADS) == (key == "load")]
         if word not in fitting:
             problems.name(("response", key), word, fitting, what)
 
@@ -320,6 +321,7 @@ def _check_one_law(tree: dict, problems: Problems) -> None:
 
 def _check_something_happens(tree: dict, problems: Problems) -> None:
     loads = [item for key in ("displacements", "forces") for _, item in _entries(tree, key)]
+    loads += [tree["macro"]] if isinstance(tree.get("macro"), dict) else []
     values = []
     for load in loads:
         history = load.get("history")
@@ -331,3 +333,38 @@ def _check_something_happens(tree: dict, problems: Problems) -> None:
         what = "a displacement, a force, gravity or an initial velocity other than zero"
         advice = "as it stands nothing happens"
         problems.add(("displacements",), what, advice)
+
+
+def _check_macro(tree: dict, problems: Problems) -> None:
+    """A representative volume is driven by its mean strain alone."""
+    macro = tree.get("macro")
+    if not isinstance(macro, dict):
+        for name, gauge in _entries(tree, "gauges"):
+            if str(gauge.get("kind")).startswith("mean_"):
+                problems.add(("gauges", name, "kind"), "another kind, or a table [macro]", "it drives the mean strain")
+        return
+    for key in ("supports", "displacements", "forces"):
+        if tree.get(key):
+            problems.add((key,), "none with [macro]", "the mean strain is all that drives the volume")
+    if any(value != 0 for value in tree.get("gravity") or ()):
+        problems.add(("gravity",), "none with [macro]")
+    for side, kind in _entries_of(tree.get("grid"), "walls"):
+        if kind != "stop":
+            problems.add(("grid", "walls", side), '"stop" with [macro]')
+    solver = tree.get("solver")
+    if isinstance(solver, dict) and solver.get("frame") == "updated":
+        problems.add(("solver", "frame"), '"auto" or "total" with [macro]')
+    strain = macro.get("strain")
+    if not isinstance(strain, dict):
+        return
+    driven = {name for name in ("xx", "yy", "xy") if strain.get(name) is not None}
+    if not driven or not any(strain[name] != 0 for name in driven):
+        problems.add(("macro", "strain"), "at least one of xx, yy, xy other than zero")
+    if "xy" in driven and len(driven) < 3 and macro.get("boundary", "edges") == "edges":
+        what = "xx and yy too where edges are sheared, which moves them both ways"
+        problems.add(("macro", "strain"), what, 'or macro.boundary = "periodic"')
+
+
+def _entries_of(tree, key: str) -> Iterator[tuple[Any, Any]]:
+    group = tree.get(key) if isinstance(tree, dict) else None
+    return iter(group.items() if isinstance(group, dict) else ())

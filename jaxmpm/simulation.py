@@ -130,6 +130,8 @@ class Simulation:
     def asks_for_points(self, reading) -> str:
         """Why the motion is too large to go on in the total frame, "" where it is not."""
         solver, cell = self.scene.solver, self.layout.cell
+        if self.scene.macro:
+            return ""
         limit = solver.hand_over_displacement or cell
         if reading.displacement > limit:
             return f"a node has moved by {float(reading.displacement):.3g} mm, more than {limit:g} mm"

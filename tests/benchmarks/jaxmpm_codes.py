@@ -108,7 +108,7 @@ def total_runner(scene, dtype):
     model = total_model.Model(
         embedding=embedding, density=one(scene.density), damping=None, viscosity=None,
         gravity=jnp.zeros(2, dtype), material=jnp.zeros((cells, cells), jnp.int32),
-        free=jnp.asarray(free, dtype), displacements=(), forces=(), gauges={},
+        free=jnp.asarray(free, dtype), displacements=(), forces=(), gauges={}, macro=None,
         numerics=total_model.Numerics(size, 1.0, PLANE_STRESS, "fixed", 1, False),
     )  # fmt: skip
     dt = jnp.asarray(scene.dt, dtype)
