@@ -25,9 +25,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jaxmpm import bands, compilation, explicit, observe
+from jaxmpm import compilation, explicit, observe
 from jaxmpm import model as models
 from jaxmpm.errors import RunError, SceneError
+from jaxmpm.mesostructure.sampling import Local
 from jaxmpm.parameters import values_of, with_values
 from jaxmpm.scene import Scene
 from jaxmpm.simulation import Simulation
@@ -137,7 +138,9 @@ class Run:
     scene: Scene
     model: models.Model
     state: models.State
-    materials: tuple  # names of the model's, in order
+    named: models.Model  # the model by materials, before what is local made one of every cell
+    local: Local | None
+    materials: tuple  # names of the materials, in order
     dt: float  # s
     every: int
     samples: int
@@ -169,6 +172,7 @@ class Run:
         room = capacity or max(explicit.ROOM, sim.model.material.size // 4)
         return cls(
             scene, sim.model, models.first_state(sim.model, sim.layout.velocity, room + explicit.ROOM),
+            models.by_materials(scene, sim.layout) if sim.layout.local else sim.model, sim.layout.local,
             tuple(sim.layout.materials), solver.duration / (every * samples - 1), every, samples,
         )  # fmt: skip
 
@@ -180,25 +184,18 @@ class Run:
 
     def with_values(self, values) -> models.Model:
         """The model with other numbers of its materials, by name: {"concrete.ft": 3.1}."""
-        return with_values(self.model, self.materials, values)
+        return models.with_local(with_values(self.named, self.materials, values), self.local)
 
     def values(self, names) -> dict:
         """Numbers of the scene's materials by name."""
-        return values_of(self.model, self.materials, names)
+        return values_of(self.named, self.materials, names)
 
     def by_cells(self) -> "Run":
         """The same run with every cell a material of its own, its parameters leaves (cells,), cells in order.
 
         For the derivative by a field: one run in reverse says what each cell would do for the answer.
         """
-        model = self.model
-        number = jnp.arange(model.material.size, dtype=jnp.int32).reshape(model.material.shape)
-        own = jnp.maximum(model.material, 0).reshape(-1)
-        model = replace(
-            model, embedding=bands.at(model.embedding, own), density=model.density[own],
-            material=jnp.where(model.material >= 0, number, -1),
-        )  # fmt: skip
-        return replace(self, model=model, materials=())
+        return replace(self, model=models.by_cells(self.model), materials=())
 
     def compiled(self, function, *args):
         """`function` compiled for arguments like these, as the project compiles its steps."""

@@ -240,7 +240,9 @@ def to_points(scene, layout, model, state, time, fields=1, body_of=None):
     here = tuple(listed.cell)
     names = [scene.bodies[k].material for k in range(len(scene.bodies))]
     index = [layout.materials.index(name) if name in layout.materials else 0 for name in names]
-    material = np.array(index)[listed.body]
+    # A place that shapes cover in a cell that is empty, or another body's, is of the body's own material.
+    filled = layout.owner[here] == listed.body
+    material = np.where(filled, layout.material[here], np.array(index)[listed.body])
     volume = layout.cell**2 * scene.grid.thickness * listed.share
     mass = volume * np.asarray(model.density, float)[material]
     corner = np.reshape(layout.origin, (2, 1))

@@ -12,6 +12,7 @@ import numpy as np
 from jaxmpm import layout_macro
 from jaxmpm.errors import Problems, written
 from jaxmpm.fill import boundary_length, cells_at_nodes, fill
+from jaxmpm.mesostructure import sampling
 from jaxmpm.scene import Force, History, Scene, direction_cosines
 from jaxmpm.shapes import nodes_in
 
@@ -60,6 +61,7 @@ class Layout:
     displacements: tuple[Drive, ...]
     forces: tuple[Drive, ...]
     gauges: tuple[Gauge, ...]
+    local: sampling.Local | None  # what else differs from cell to cell
 
     def node_coordinates(self) -> np.ndarray:
         """Coordinates of the nodes, (2, nx + 1, ny + 1), mm."""
@@ -88,8 +90,8 @@ def lay_out(scene: Scene) -> Layout:
     work.check_conflicts()
     gauges = work.gauges()
     work.problems.raise_any()
-    materials, material = _materials(scene, owner)
-    velocity = _velocity(scene, owner)
+    materials, material, local = _materials(scene, owner)
+    velocity = _velocity(scene, owner, materials, material)
     velocity.reshape(-1)[held] = 0.0
     return Layout(
         shape=scene.grid.shape,
@@ -104,19 +106,27 @@ def lay_out(scene: Scene) -> Layout:
         displacements=displacements,
         forces=forces,
         gauges=gauges,
+        local=local,
     )
 
 
-def _materials(scene: Scene, owner: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:
-    used = {scene.bodies[index].material for index in np.unique(owner[owner >= 0])}
-    names = tuple(name for name in scene.materials if name in used)
-    # The last entry is what owner = -1 picks; a body without a cell is picked by none.
-    index = [names.index(b.material) if b.material in used else -1 for b in scene.bodies]
-    return names, np.array([*index, -1])[owner]
+def _materials(scene: Scene, owner: np.ndarray):
+    """Names of the materials in use, their index in each cell, what else differs from cell to cell."""
+    material, shares = sampling.sample(scene, owner)
+    strength = sampling.strength(scene, material)
+    present = np.bincount(material[material >= 0], minlength=len(scene.materials)) > 0
+    if shares is not None:
+        present |= shares.any(axis=(1, 2))
+        shares = shares[present]
+    names = tuple(name for name, used in zip(scene.materials, present, strict=True) if used)
+    # The last entry is what -1 picks.
+    index = np.append(np.cumsum(present) - 1, -1)
+    differs = strength is not None or shares is not None
+    return names, index[material], sampling.Local(strength, shares) if differs else None
 
 
-def _velocity(scene: Scene, owner: np.ndarray) -> np.ndarray:
-    density = np.array([*(scene.materials[b.material].density for b in scene.bodies), 0.0])[owner]
+def _velocity(scene: Scene, owner: np.ndarray, materials, material: np.ndarray) -> np.ndarray:
+    density = np.array([*(scene.materials[name].density for name in materials), 0.0])[material]
     mass = cells_at_nodes(density)
     velocity = np.zeros((2, *mass.shape))
     for component in (0, 1):

@@ -4,6 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field
 
+from jaxmpm.mesostructure.tables import Scatter
 from jaxmpm.shapes import Number, Positive, Table
 
 
@@ -78,3 +79,4 @@ class Material(Table):
     density: Positive = Field(description="density, tonne/mm3; concrete is 2.4e-9")
     bulk: AnyBulk = Field(description="law of the bulk")
     band: AnyBand | None = Field(None, description="law of the band; without one it never cracks")
+    scatter: Scatter | None = Field(None, description="how its strength varies from place to place")

@@ -5,7 +5,7 @@ loads) is a leaf of the model and can be differentiated; what changes a shape or
 static.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -15,11 +15,13 @@ import numpy as np
 
 from jaxmpm import band_laws, bands, grid, periodic, tensor
 from jaxmpm.bands import Pool
+from jaxmpm.errors import SceneError
 from jaxmpm.laws.band import Embedding
 from jaxmpm.laws.elastic import Elastic
 from jaxmpm.layout import Drive
 from jaxmpm.loads import Load
 from jaxmpm.macro import COMPONENTS
+from jaxmpm.scene_check import largest_cell
 
 
 @jax.tree_util.register_dataclass
@@ -179,7 +181,61 @@ def cell_strain_vectors(mean, cells, size):
 
 
 def from_layout(scene, layout):
-    """The `Model` of a laid-out scene, in the scene's precision."""
+    """The `Model` of a laid-out scene, in the scene's precision; raises SceneError where its cells are too large."""
+    model = with_local(by_materials(scene, layout), layout.local)
+    if layout.local is not None and layout.local.shares is not None:
+        _check_mixed(scene, model)
+    return model
+
+
+def by_cells(model):
+    """The same model with every cell a material of its own, its parameters leaves (cells,), cells in order."""
+    number = jnp.arange(model.material.size, dtype=jnp.int32).reshape(model.material.shape)
+    own = jnp.maximum(model.material, 0).reshape(-1)
+    return replace(
+        model, embedding=bands.at(model.embedding, own), density=model.density[own],
+        material=jnp.where(model.material >= 0, number, -1),
+    )  # fmt: skip
+
+
+def with_local(model, local):
+    """The model by materials with what differs from cell to cell, `mesostructure.sampling.Local` or None.
+
+    The factor f on the strength leaves the curve of softening its shape: f_t f, and G_F f² where it is a
+    parameter. Bulks are mixed by Hill: E = (Σ s_k E_k + 1 / Σ (s_k / E_k)) / 2; ν and density by shares s_k.
+    """
+    if local is None:
+        return model
+    named, model = model, by_cells(model)
+    bulk, law = model.embedding.bulk, model.embedding.law
+    if local.shares is not None:
+        shares = jnp.asarray(local.shares.reshape(len(local.shares), -1), model.free.dtype)
+        filled = (model.material >= 0).reshape(-1)
+        E, nu = named.embedding.bulk.E, named.embedding.bulk.nu
+        hill = (E @ shares + 1 / jnp.where(filled, (1 / E) @ shares, 1.0)) / 2
+        bulk = Elastic(jnp.where(filled, hill, bulk.E), jnp.where(filled, nu @ shares, bulk.nu))
+        model = replace(model, density=jnp.where(filled, named.density @ shares, model.density))
+    if local.strength is not None:
+        factor = jnp.asarray(local.strength.reshape(-1), model.free.dtype)
+        powers = {"ft": 1, "GF": 2}
+        law = replace(law, **{k: getattr(law, k) * factor**p for k, p in powers.items() if hasattr(law, k)})
+    return replace(model, embedding=replace(model.embedding, bulk=bulk, law=law))
+
+
+def _check_mixed(scene, model):
+    """Raise SceneError where the mixed bulk of a cell is too soft for its band."""
+    law, bulk = model.embedding.law, model.embedding.bulk
+    cracks = (model.material >= 0).reshape(-1) & jnp.isfinite(law.ft)
+    largest = float(jnp.where(cracks, law.largest_size(bulk), jnp.inf).min())
+    if scene.grid.cell > largest_cell(largest, scene.bands.effective_size):
+        raise SceneError(
+            f"grid.cell = {scene.grid.cell:g}: expected at most {largest_cell(largest, scene.bands.effective_size):.4g} "
+            f'mm with mesostructure.sampling = "mixed" (bands in cells of mixed stiffness snap back beyond {largest:.4g} mm)'
+        )
+
+
+def by_materials(scene, layout):
+    """The model of a laid-out scene without what differs from cell to cell, leaves (materials,)."""
     dtype = jnp.dtype(scene.solver.precision)
     array = partial(jnp.asarray, dtype=dtype)
     materials = {name: scene.materials[name] for name in layout.materials}

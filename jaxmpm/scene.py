@@ -11,6 +11,8 @@ from jaxmpm.errors import SceneError, written
 from jaxmpm.load_history import History
 from jaxmpm.macro import Macro, MeanStrainGauge, MeanStressGauge
 from jaxmpm.materials import Material
+from jaxmpm.mesostructure.image import find_image
+from jaxmpm.mesostructure.tables import Mesostructure
 from jaxmpm.reference import Reference, find_reference
 from jaxmpm.shapes import Number, Pair, Positive, Shape, Table, cosines
 
@@ -278,6 +280,9 @@ class Scene(Table):
     grid: Grid = Field(description="the grid")
     materials: dict[str, Material] = Field(min_length=1, description="materials by name")
     bodies: tuple[Body, ...] = Field(min_length=1, description="what fills the grid")
+    mesostructure: Mesostructure | None = Field(
+        None, description="inclusions and their interface in a body, or an image of them"
+    )
     sets: dict[str, NodeSet] = Field({}, description="node sets by name")
     supports: tuple[Support, ...] = Field((), description="what is held")
     displacements: tuple[Displacement, ...] = Field((), description="what is moved")
@@ -324,6 +329,7 @@ def load_scene(source: str | Path, overrides: Sequence[str] = ()) -> Scene:
     tree.setdefault("name", path.stem)
     scene_source.find_own_laws(tree, path.parent)
     find_reference(tree, path.parent)
+    find_image(tree, path.parent)
     return Scene.from_dict(tree)
 
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from jaxmpm.errors import Problems, at, did_you_mean, written
+from jaxmpm.scene_check_mesostructure import check_mesostructure
 from jaxmpm.scene_check_moving import check_moving
 
 # ---- types and ranges: from the validator's findings and the scene's own JSON schema
@@ -163,6 +164,7 @@ def check(tree: dict[str, Any], problems: Problems) -> None:
     _check_something_happens(tree, problems)
     check_moving(tree, problems)
     _check_macro(tree, problems)
+    check_mesostructure(tree, problems)
 
 
 def _entries(tree: dict, key: str) -> Iterator[tuple[Any, dict]]:
