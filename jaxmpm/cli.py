@@ -1,4 +1,4 @@
-"""The command line: `jaxmpm run | scenes | plot | calibrate | verify | stability | benchmark`."""
+"""The command line: `jaxmpm run | scenes | phases | plot | calibrate | verify | stability | benchmark`."""
 
 import argparse
 import json
@@ -62,6 +62,17 @@ def _parser() -> argparse.ArgumentParser:
 
     scenes = commands.add_parser("scenes", help="list the bundled scenes")
     scenes.set_defaults(command=_scenes)
+
+    phases = commands.add_parser("phases", help="draw what a scene is made of, before a run")
+    phases.add_argument("scene", metavar="SCENE", help="a bundled name or a TOML file")
+    phases.add_argument(
+        "--out", metavar="FILE", help="a png, pdf or svg to write (default: NAME_phases.png)"
+    )
+    phases.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", dest="overrides",
+        help="change the scene, e.g. mesostructure.seed=2; may be given again",
+    )  # fmt: skip
+    phases.set_defaults(command=_phases)
 
     plot = commands.add_parser("plot", help="draw the pictures of a result again")
     plot.add_argument("directory", metavar="DIR")
@@ -183,6 +194,21 @@ def _scenes(options) -> int:
     width = max(map(len, names))
     for name, title in names.items():
         print(f"{name:{width}}  {title}")
+    return 0
+
+
+def _phases(options) -> int:
+    from jaxmpm.plot_phases import plot_phases
+    from jaxmpm.results import ResultError
+    from jaxmpm.scene import load_scene
+
+    scene = load_scene(options.scene, options.overrides)
+    target = Path(options.out or f"{scene.name}_phases.png")
+    if target.suffix not in (".png", ".pdf", ".svg"):
+        raise ResultError(f"--out = {target}: expected a file whose name ends in .png, .pdf or .svg")
+    _folder("--out", target.parent)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    print(plot_phases(scene, target))
     return 0
 
 
