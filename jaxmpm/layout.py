@@ -68,6 +68,15 @@ class Layout:
         x, y = node_lines(self.origin, self.shape, self.cell)
         return np.stack(np.meshgrid(x, y, indexing="ij"))
 
+    def shares(self) -> dict[str, float]:
+        """Share of each material of the filled area."""
+        filled = self.material >= 0
+        if self.local is not None and self.local.shares is not None:
+            found = self.local.shares[:, filled].mean(axis=1)
+        else:
+            found = np.bincount(self.material[filled]) / filled.sum()
+        return dict(zip(self.materials, found.tolist(), strict=True))
+
 
 def node_lines(origin, shape, cell: float) -> tuple[np.ndarray, np.ndarray]:
     """Positions of the nodes along x (nx + 1) and along y (ny + 1), mm."""
@@ -90,7 +99,7 @@ def lay_out(scene: Scene) -> Layout:
     work.check_conflicts()
     gauges = work.gauges()
     work.problems.raise_any()
-    materials, material, local = _materials(scene, owner)
+    materials, material, local = sampling.materials_of(scene, owner)
     velocity = _velocity(scene, owner, materials, material)
     velocity.reshape(-1)[held] = 0.0
     return Layout(
@@ -108,21 +117,6 @@ def lay_out(scene: Scene) -> Layout:
         gauges=gauges,
         local=local,
     )
-
-
-def _materials(scene: Scene, owner: np.ndarray):
-    """Names of the materials in use, their index in each cell, what else differs from cell to cell."""
-    material, shares = sampling.sample(scene, owner)
-    strength = sampling.strength(scene, material)
-    present = np.bincount(material[material >= 0], minlength=len(scene.materials)) > 0
-    if shares is not None:
-        present |= shares.any(axis=(1, 2))
-        shares = shares[present]
-    names = tuple(name for name, used in zip(scene.materials, present, strict=True) if used)
-    # The last entry is what -1 picks.
-    index = np.append(np.cumsum(present) - 1, -1)
-    differs = strength is not None or shares is not None
-    return names, index[material], sampling.Local(strength, shares) if differs else None
 
 
 def _velocity(scene: Scene, owner: np.ndarray, materials, material: np.ndarray) -> np.ndarray:

@@ -114,10 +114,7 @@ def _draw_outlines(axes: Axes, structure: Structure) -> None:
 
 
 def _draw_shares(axes: Axes, scene, layout, order) -> None:
-    filled = layout.material >= 0
-    shares = np.bincount(layout.material[filled], minlength=len(order)) / filled.sum()
-    if layout.local and layout.local.shares is not None:
-        shares = layout.local.shares[:, filled].mean(axis=1)
+    shares = np.array(list(layout.shares().values()))
     rows = np.arange(len(order))
     axes.barh(rows, 100 * shares[order], height=0.62, edgecolor=EDGE, linewidth=0.5,
               color=[COLOURS[k % len(COLOURS)] for k in rows])  # fmt: skip

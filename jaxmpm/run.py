@@ -329,6 +329,8 @@ class Recorder:
             "cell_size": scene.grid.cell, "thickness": scene.grid.thickness,
             "cells": cells, "can_crack": self.can_crack, "cracked": sim.cracked(), "steps": steps, "frame": self.frame_name(),
         }  # fmt: skip
+        if scene.mesostructure:
+            out["phases"] = sim.layout.shares()
         if self.moves:
             out |= {"points": sim.count(), "points_left": sim.left, "hand_over_time": self.handed_over}
             out |= {"messages": self.messages}

@@ -100,6 +100,12 @@ class Room:
         sizes = self.radius if self.support is None else self.support
         return outlines.separation(way, sizes[first], sizes[second])
 
+    def density(self) -> float:
+        """Share of the rectangle that inclusions take with half their gap around them, at least."""
+        within = self.span if self.periodic else self.span - self.gap
+        # Of all shapes of an area circles grow least.
+        return float(circle(2 * self.radius + self.gap).sum() / within.prod())
+
     def fill(self) -> bool:
         """Give every inclusion a place, and say whether all found room; the others overlap what is there."""
         for k in range(len(self.radius)):

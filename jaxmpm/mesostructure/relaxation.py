@@ -9,6 +9,7 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 
+DENSEST = 0.92  # of discs with half their gap around them: beyond it nothing that is random fits
 ROUNDS = 60  # of finding neighbours anew
 ITERATIONS = 60  # between them
 STALLED = 0.9  # of the energy before, after a round: no less is left
@@ -17,6 +18,8 @@ PATIENCE = 4  # such rounds
 
 def push_apart(room) -> bool:
     """Move the centres of a `placement.Room` until its gaps are kept, and say whether they are."""
+    if room.density() > DENSEST:
+        return False
     spare = 2e-3 * room.radius.min()  # aimed at above the gap, so that the gap itself is reached
     least, most = (limit.reshape(-1) for limit in room.limits(np.arange(len(room.radius))))
     energy, stalled = np.inf, 0

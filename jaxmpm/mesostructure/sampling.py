@@ -110,16 +110,35 @@ class Sampler:
         return found
 
 
-def sample(scene, owner: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-    """Materials of the cells, and the shares of materials in them where they are mixed.
+def materials_of(scene, owner: np.ndarray) -> tuple[tuple[str, ...], np.ndarray, Local | None]:
+    """What the cells of a scene are made of.
 
     Args:
         scene: `jaxmpm.scene.Scene`.
         owner: body of each cell, (nx, ny), -1 where empty.
 
     Returns:
-        index into the scene's materials, (nx, ny), -1 where empty; shares (materials, nx, ny) or None.
+        Names of the materials in use, in the scene's order; the index of each cell's into them, (nx, ny),
+        -1 where empty; what differs from cell to cell beyond that, or None.
+
+    Raises:
+        SceneError: inclusions that do not fit in, an image that cannot be used.
     """
+    material, shares = _sampled(scene, owner)
+    strength = _strength(scene, material)
+    present = np.bincount(material[material >= 0], minlength=len(scene.materials)) > 0
+    if shares is not None:
+        present |= shares.any(axis=(1, 2))
+        shares = shares[present]
+    names = tuple(name for name, used in zip(scene.materials, present, strict=True) if used)
+    # The last entry is what -1 picks.
+    index = np.append(np.cumsum(present) - 1, -1)
+    differs = strength is not None or shares is not None
+    return names, index[material], Local(strength, shares) if differs else None
+
+
+def _sampled(scene, owner) -> tuple[np.ndarray, np.ndarray | None]:
+    """Index of each cell's material into the scene's, and shares (materials, nx, ny) where they are mixed."""
     names = list(scene.materials)
     material = np.array([*(names.index(body.material) for body in scene.bodies), -1])[owner]
     table = scene.mesostructure
@@ -127,21 +146,18 @@ def sample(scene, owner: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
         return material, None
     mine = owner == [body.name for body in scene.bodies].index(table.body)
     sampler = Sampler(scene)
-    if table.sampling == "centre":
-        return np.where(mine, sampler.at(*centres(scene.grid)), material), None
     whole = np.arange(len(names))[:, None, None] == material
-    shares = np.where(mine, sampler.shares(scene.grid, len(names)), whole)
     material = np.where(mine, sampler.at(*centres(scene.grid)), material)
+    if table.sampling == "centre":
+        return material, None
+    shares = np.where(mine, sampler.shares(scene.grid, len(names)), whole)
     if table.interface:
         material[mine & sampler.crossed(scene.grid)] = names.index(table.interface)
     return material, shares
 
 
-def strength(scene, material: np.ndarray) -> np.ndarray | None:
-    """Factors (nx, ny) on the strength of cells whose index into the scene's materials is `material`.
-
-    None where no material scatters.
-    """
+def _strength(scene, material: np.ndarray) -> np.ndarray | None:
+    """Factors (nx, ny) on the strength of cells with these materials of the scene; None where none scatters."""
     found = None
     for index, (name, one) in enumerate(scene.materials.items()):
         if one.scatter is not None and (material == index).any():
