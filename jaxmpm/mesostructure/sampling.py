@@ -5,8 +5,8 @@ The distance d from the nearest outline says what a place is: inclusion for d < 
 
 `centre`: what its middle is. The interface must be a cell thick at least, or it would have holes.
 
-`mixed`, for thinner layers: sub-samples, no farther apart than a quarter of t, give the shares of the
-phases in the cell. Its bulk is their mean: E by Hill, half the sum of Voigt's bound (layers in
+`mixed`, for thinner layers: sub-samples, each of which an outline may divide, give the shares of the
+phases in the cell, of layers however thin. Its bulk is their mean: E by Hill, half the sum of Voigt's bound (layers in
 parallel) and Reuss's (in series); ν and density by shares. Its band is not mixed, for a crack runs in
 the weakest layer that hangs together: it is the interface's in each cell that the middle of that
 layer, the line d = t/2, crosses, elsewhere that of the phase at the middle. So a row of cells one cell
@@ -21,8 +21,7 @@ import numpy as np
 from jaxmpm.mesostructure import image, placement
 from jaxmpm.mesostructure.scatter import strength_factor
 
-FEWEST, MOST = 8, 40  # sub-samples along the side of a cell
-PER_LAYER = 4  # of them, across an interface
+SIDES = 8  # sub-samples along the side of a cell
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,19 +94,24 @@ class Sampler:
 
     def shares(self, grid, count) -> np.ndarray:
         """Shares of `count` materials in each cell, (count, nx, ny)."""
-        sides = FEWEST
-        if self.thickness:
-            sides = int(np.clip(np.ceil(PER_LAYER * grid.cell / self.thickness), FEWEST, MOST))
-        inner = ((np.arange(sides) + 0.5) / sides - 0.5) * grid.cell
+        inner = ((np.arange(SIDES) + 0.5) / SIDES - 0.5) * grid.cell
         x, y = centres(grid)
         found = np.zeros((count, *grid.shape))
         fine_y = (y[:, None] + inner).reshape(-1)
-        for part in np.array_split(np.arange(len(x)), max(1, len(x) * len(y) * sides**2 // 2_000_000)):
-            here = self.at((x[part, None] + inner).reshape(-1), fine_y)
-            for k in np.unique(here):
-                blocks = (here == k).reshape(len(part), sides, len(y), sides)
-                found[k, part] = blocks.mean(axis=(1, 3))
+        for part in np.array_split(np.arange(len(x)), max(1, len(x) * len(y) * SIDES**2 // 2_000_000)):
+            for k, share in self._parts((x[part, None] + inner).reshape(-1), fine_y, grid.cell / SIDES):
+                found[k, part] += share.reshape(len(part), SIDES, len(y), SIDES).mean(axis=(1, 3))
         return found
+
+    def _parts(self, x, y, side):
+        """Materials, and the share (nx, ny) of each in squares around the places x × y, as an outline divides them."""
+        if self.structure is None:
+            here = self.at(x, y)
+            return [(k, here == k) for k in np.unique(here)]
+        distance = self.distance(x, y)
+        # Of a square whose sides lie along the outline; the mean over many at any angle is as good.
+        inner, outer = (np.clip(0.5 - (distance - d) / side, 0.0, 1.0) for d in (0.0, self.thickness))
+        return zip(self.index, (inner, outer - inner, 1.0 - outer), strict=True)
 
 
 def materials_of(scene, owner: np.ndarray) -> tuple[tuple[str, ...], np.ndarray, Local | None]:
