@@ -17,6 +17,7 @@ from jaxmpm.mesostructure.structure import SHIFTS, Structure, lower, reach_of
 from jaxmpm.mesostructure.tables import Inclusions
 
 FINEST = 4e5  # places of the lattice at most
+PROBES = 64  # places of the lattice that are looked at before all are
 TRIES = 40  # places and angles that are tried for a shape that is no circle
 ATTEMPTS = 2  # at all of it
 
@@ -62,8 +63,11 @@ class Room:
             for low, span, n in zip(self.low, self.span, np.ceil(self.span / step).astype(int), strict=True)
         ]
         self.step = step
-        # distance of each place of the lattice from what has been placed
+        # distance of each place of the lattice from what has been placed, and from the edges that count
         self.free = np.full([len(line) for line in self.lines], np.inf)
+        if not self.periodic:
+            x, y = (np.minimum(line - low, high - line) for line, low, high in zip(self.lines, self.low, self.high, strict=True))
+            self.free = np.minimum(x[:, None], y[None, :])
         self._check_sizes()
 
     def _check_sizes(self):
@@ -119,10 +123,9 @@ class Room:
         """Draw a place for inclusion k that keeps its gap; False where there is none."""
         if self.corners is not None and self._find_turned(k):
             return True
-        places = np.argwhere(self._allowed(k) & (self.free >= self.reach[k] + self.gap))
-        if not len(places):
+        on_lattice = self._draw(self.reach[k] + self.gap)
+        if on_lattice is None:
             return False
-        on_lattice = self._at(places[self.random.integers(len(places))])
         # Anywhere near that place of the lattice, or there itself, where the distance is known.
         self.centres[k] = on_lattice + self.step * self.random.uniform(-0.5, 0.5, 2)
         if not self._fits(k):
@@ -131,26 +134,28 @@ class Room:
 
     def _find_turned(self, k) -> bool:
         """The same at angles and places where a shape may fit, though the circle around it does not."""
-        places = np.argwhere(self.free >= self.support[k].min() + self.gap)
-        if not len(places):
-            return False
         for _ in range(TRIES):
             self.corners[k] = outlines.turned(self.corners[k], self.random.uniform(0.0, 2 * np.pi))
             self.support[k] = outlines.support(self.corners[k])
-            place = self._at(places[self.random.integers(len(places))])
+            place = self._draw(self.support[k].min() + self.gap)
+            if place is None:
+                return False
             self.centres[k] = place + self.step * self.random.uniform(-0.5, 0.5, 2)
             if self._fits(k):
                 return True
         return False
 
-    def _at(self, place):
-        return np.array([line[i] for line, i in zip(self.lines, place, strict=True)])
+    def _draw(self, least: float):
+        """A random place of the lattice that is at least so far from all that is there, None without one."""
+        probes = self.random.integers(self.free.size, size=PROBES)
+        places = probes[self.free.flat[probes] >= least]
+        if not len(places):
+            places = np.flatnonzero(self.free >= least)
+        return self._at(places[self.random.integers(len(places))]) if len(places) else None
 
-    def _allowed(self, k):
-        """Where on the lattice the circle around inclusion k stays inside."""
-        inset = 0.0 if self.periodic else self.reach[k] + self.gap
-        x, y = ((line >= low + inset) & (line <= high - inset) for line, low, high in zip(self.lines, self.low, self.high))
-        return x[:, None] & y[None, :]
+    def _at(self, number: int) -> np.ndarray:
+        i, j = divmod(int(number), self.free.shape[1])
+        return np.array([self.lines[0][i], self.lines[1][j]])
 
     def _fits(self, k) -> bool:
         """Whether inclusion k keeps its gap from the edges and from those before it."""
@@ -161,8 +166,7 @@ class Room:
         return bool((apart >= self.gap).all())
 
     def _put_into_hole(self, k):
-        free = np.where(self._allowed(k), self.free, -np.inf)
-        self.centres[k] = self._at(np.unravel_index(free.argmax(), free.shape))
+        self.centres[k] = self._at(self.free.argmax())
         self.centres[k] += self.step * self.random.uniform(-0.5, 0.5, 2)
 
     def _take(self, k):
