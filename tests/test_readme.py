@@ -1,11 +1,16 @@
 """What the README shows can be done as it stands."""
 
 import re
+import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
+from meso_scene import tree
 
-from jaxmpm.scene import load_scene
+from jaxmpm.layout import lay_out
+from jaxmpm.mesostructure.image import find_image
+from jaxmpm.scene import Scene, load_scene
 
 README = (Path(__file__).parents[1] / "README.md").read_text()
 
@@ -26,6 +31,20 @@ def test_the_beam_and_the_settings_of_points_are_a_scene(tmp_path):
     path.write_text(beam)
     scene = load_scene(path)
     assert scene.grid.walls.bottom == "slip" and scene.points.fill == "cells" and scene.contact.friction == 0.3
+
+
+def test_the_mesostructure_and_the_image_are_tables_of_a_scene(tmp_path):
+    placed, image = (tomllib.loads(block) for block in blocks("toml")[2:])
+    whole = tree(cell=0.25)
+    whole["materials"] = {"matrix": whole["materials"].pop("mortar"), **whole["materials"]}
+    whole["bodies"][0] |= {"name": "specimen", "material": "matrix"}
+    whole["materials"]["matrix"] |= placed["materials"]["matrix"]
+    shares = lay_out(Scene.from_dict(whole | {"mesostructure": placed["mesostructure"]})).shares()
+    assert shares["stone"] == pytest.approx(0.37, abs=0.01)
+    np.save(tmp_path / "slice.npy", np.array([[0, 128], [255, 255]]))
+    image["mesostructure"]["image"]["file"] = "slice.npy"
+    find_image(whole | image, tmp_path)
+    assert lay_out(Scene.from_dict(whole | image)).shares() == {"matrix": 0.25, "stone": 0.5, "itz": 0.25}
 
 
 def test_the_point_by_itself_runs(tmp_path, monkeypatch, capsys):
