@@ -34,7 +34,7 @@ def test_the_beam_and_the_settings_of_points_are_a_scene(tmp_path):
 
 
 def test_the_mesostructure_and_the_image_are_tables_of_a_scene(tmp_path):
-    placed, image = (tomllib.loads(block) for block in blocks("toml")[2:])
+    placed, image = (tomllib.loads(block) for block in blocks("toml")[2:4])
     whole = tree(cell=0.25)
     whole["materials"] = {"matrix": whole["materials"].pop("mortar"), **whole["materials"]}
     whole["bodies"][0] |= {"name": "specimen", "material": "matrix"}
