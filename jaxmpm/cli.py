@@ -8,6 +8,8 @@ from pathlib import Path
 
 from jaxmpm import __version__
 
+QUASI_STATIC = 1e-3  # kinetic energy over stored at the peak, below which slower loading changes little
+
 BAD_INPUT, STOPPED, INTERRUPTED = 2, 1, 130
 
 
@@ -84,6 +86,7 @@ def _parser() -> argparse.ArgumentParser:
         "(default: material, with the cracks coloured by their opening)",
     )  # fmt: skip
     plot.add_argument("--animate", action="store_true", help="all frames, as one animation")
+    plot.add_argument("--stages", action="store_true", help="the response with stages, and the damage at each")
     plot.add_argument("--fps", type=float, metavar="N", help="of it, frames a second (default: 10)")
     plot.add_argument(
         "--format", choices=("png", "pdf", "svg", "gif", "mp4"),
@@ -172,6 +175,9 @@ def report(summary: dict, directory) -> str:
             ("peak_load", "displacement_at_peak"), ("final_load", "final_displacement")
         ))  # fmt: skip
         lines.append(f"peak {peak[0]} at {peak[1]}, {end[0]} at the end ({end[1]})")
+    if (share := summary.get("kinetic_share_at_peak")) is not None:
+        slow = "slow enough for a static test" if share < QUASI_STATIC else "fast for a static test: stretch the histories"
+        lines.append(f"kinetic energy at the peak {share:.1e} of the stored: {slow}")
     if summary.get("reference_inside") is not None:
         lines.append(f"{summary['reference_inside']:.0%} of the curve inside {summary['reference']}")
     cracked = f"{summary['cracked']} of {summary['cells']} cells cracked, " if summary["can_crack"] else ""
@@ -182,7 +188,7 @@ def report(summary: dict, directory) -> str:
         f"cell-steps/s), {summary['compile_seconds']:.1f} s compilation, "
         f"{summary['wall_seconds']:.1f} s in all, {summary['precision']}, {summary['device']}",
         f"written to {directory}: summary.json history.csv result.vtkhdf"
-        + (" response.png" if "peak_load" in summary else "") + " cracks.png",
+        + "".join(f" {name}.png" for name in ("response", "cracks", "stages") if (Path(directory) / f"{name}.png").exists()),
     ]
     return "\n".join(lines)
 
@@ -222,6 +228,11 @@ def _plot(options) -> int:
         from jaxmpm.animate import animate
 
         print(animate(directory, target, fps=options.fps, **look))
+        return 0
+    if options.stages:
+        from jaxmpm.plot_stages import plot_stages
+
+        print(plot_stages(directory, directory / f"stages{suffix}"))
         return 0
     frame = -1 if options.frame is None else options.frame
     print(plot.plot_cracks(directory, target, frame=frame, **look))

@@ -36,7 +36,7 @@ def plot_response(directory: str | os.PathLike, path: str | os.PathLike | None =
     summary, units = read_summary(directory), read_units(directory / "history.csv")
     load, displacement = response(directory, summary)
     names = summary["response"]
-    factor, load_unit = _load_scale(load, units[names["load"]] or summary.get("load_unit") or "")
+    factor, load_unit = load_scale(load, units[names["load"]] or summary.get("load_unit") or "")
     displacement_unit = units[names["displacement"]]
 
     with styled_figure() as figure:
@@ -46,8 +46,8 @@ def plot_response(directory: str | os.PathLike, path: str | os.PathLike | None =
             _draw_reference(axes, read_reference(directory), factor)
         single = len(load) == 1
         axes.plot(displacement, load * factor, color=INK, lw=1.4, marker="." if single else None)
-        axes.set_xlabel(_label(names["displacement"], displacement_unit))
-        axes.set_ylabel(_label(names["load"], load_unit))
+        axes.set_xlabel(label(names["displacement"], displacement_unit))
+        axes.set_ylabel(label(names["load"], load_unit))
         axes.grid(color="#dddddd", lw=0.6)
         axes.set_axisbelow(True)
         axes.margins(x=0.04, y=0.13)
@@ -130,12 +130,12 @@ def peak_row(load: np.ndarray, known: float | None = None) -> int | None:
     return int(np.nanargmin(distance)) if np.isfinite(distance).any() else None
 
 
-def _load_scale(load: np.ndarray, unit: str) -> tuple[float, str]:
+def load_scale(load: np.ndarray, unit: str) -> tuple[float, str]:
     large = np.nanmax(np.abs(load), initial=0) > 1000
     return (1e-3, "kN") if unit == "N" and large else (1.0, unit)
 
 
-def _label(name: str, unit: str) -> str:
+def label(name: str, unit: str) -> str:
     # A dollar sign in a name would start Matplotlib's mathematics.
     return f"{name.replace('_', ' ')} [{unit}]".replace(" []", "").replace("$", r"\$")
 

@@ -294,6 +294,14 @@ class Recorder:
             plot.plot_response(self.directory)
         if self.frames:
             plot.plot_cracks(self.directory)
+        if self.shows_stages():
+            from jaxmpm.plot_stages import plot_stages
+
+            plot_stages(self.directory)
+
+    def shows_stages(self) -> bool:
+        """Whether cracking is likely to be diffuse first and localised later, in cells that stay."""
+        return bool(self.scene.mesostructure and self.scene.response and self.can_crack and self.frames > 2) and not self.moves
 
     def wall_seconds(self) -> float:
         """Seconds spent on this run so far, those before an interruption included."""
@@ -306,6 +314,12 @@ class Recorder:
         pick = lambda name: rows[:, names.index(name)]  # noqa: E731
         response = self.scene.response
         return pick(response.load), pick(response.displacement)
+
+    def kinetic_share(self, sample: int) -> float | None:
+        """Kinetic energy over the stored one at a sample: small where a response is quasi-static."""
+        names = [name for name, _ in self.columns]
+        stored, kinetic = (self.rows[sample][names.index(name)] for name in ("stored_energy", "kinetic_energy"))
+        return kinetic / stored if stored > 0 else None
 
     def units(self) -> tuple[str, str]:
         """Units of the response's load and displacement."""
@@ -341,6 +355,7 @@ class Recorder:
             out["load_unit"], out["displacement_unit"] = self.units()
             out |= {"peak_load": load[peak], "displacement_at_peak": displacement[peak]}
             out |= {"final_load": load[-1], "final_displacement": displacement[-1]}
+            out["kinetic_share_at_peak"] = self.kinetic_share(peak)
             if reference := scene.response.reference:
                 out["reference"] = reference.file
                 if reference.is_band:
