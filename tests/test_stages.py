@@ -69,7 +69,7 @@ def test_the_picture_numbers_the_stages_and_tells_the_shares(tmp_path, figures):
     import matplotlib.text
 
     words = [text.get_text() for text in figures[0].findobj(matplotlib.text.Text)]
-    assert words.count("20% in the final crack") >= 2 and words.count("100% in the final crack") == 3
+    assert words.count("20% in the final crack") >= 2 and words.count("100% in the final crack") >= 3
     assert {"1", "2", "3", "4", "5"} <= set(words)
     with open(tmp_path / "stages.csv", newline="") as file:
         rows = list(csv.DictReader(file))
