@@ -3,9 +3,34 @@
 import hashlib
 import os
 import platform
+from collections import OrderedDict
 from pathlib import Path
 
 import jax
+
+MOST_PROGRAMS = 16  # kept in memory; a run in the total frame has three for each size of its pool
+_programs: OrderedDict = OrderedDict()  # the one used last at the end
+
+
+def program(function, *arguments):
+    """The jitted `function` compiled for arguments like these, pytrees: a second scene that looks alike takes the first's.
+
+    Alike are arguments of the same structure, static parts included, whose arrays have the same shapes
+    and types, as those of two scenes on one grid have, whatever their materials, loads and seeds.
+    """
+    leaves, structure = jax.tree.flatten(arguments)
+    key = function, structure, tuple(jax.typeof(leaf) for leaf in leaves)
+    if key not in _programs:
+        _programs[key] = compiled(function.lower(*arguments))
+        while len(_programs) > MOST_PROGRAMS:
+            _programs.popitem(last=False)
+    _programs.move_to_end(key)
+    return _programs[key]
+
+
+def forget_programs() -> None:
+    """Give back the memory of the programs that are kept for scenes to come."""
+    _programs.clear()
 
 
 def compiled(lowered):

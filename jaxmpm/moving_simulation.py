@@ -115,8 +115,7 @@ class MovingSimulation:
         key = function, jax.tree.map(jnp.shape, (self.state, extra)).__repr__()
         if key not in self._compiled:
             began = clock.perf_counter()
-            lowered = function.lower(self.model, self.state, self._dt(), *extra)
-            self._compiled[key] = compilation.compiled(lowered)
+            self._compiled[key] = compilation.program(function, self.model, self.state, self._dt(), *extra)
             self.compile_seconds += clock.perf_counter() - began
         return self._compiled[key]
 

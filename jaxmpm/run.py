@@ -11,6 +11,7 @@ import numpy as np
 
 from jaxmpm import observe, results, walls
 from jaxmpm.errors import RunError, SceneError, written
+from jaxmpm.homogenise import homogenised
 from jaxmpm.moving_simulation import MOVING_FIELDS, MovingSimulation
 from jaxmpm.progress import Progress
 from jaxmpm.scene import Scene
@@ -307,13 +308,15 @@ class Recorder:
         """Seconds spent on this run so far, those before an interruption included."""
         return self.wall_before + clock.perf_counter() - self.began
 
+    def table(self) -> dict[str, np.ndarray]:
+        """The history so far: every column's values, (samples,), by its name."""
+        rows = np.asarray(self.rows).reshape(-1, len(self.columns))
+        return {name: rows[:, k] for k, (name, _) in enumerate(self.columns)}
+
     def response(self) -> tuple[np.ndarray, np.ndarray]:
         """Load and displacement of every sample, as the scene names them."""
-        names = [name for name, _ in self.columns]
-        rows = np.asarray(self.rows).reshape(-1, len(names))
-        pick = lambda name: rows[:, names.index(name)]  # noqa: E731
-        response = self.scene.response
-        return pick(response.load), pick(response.displacement)
+        table, response = self.table(), self.scene.response
+        return table[response.load], table[response.displacement]
 
     def kinetic_share(self, sample: int) -> float | None:
         """Kinetic energy over the stored one at a sample: small where a response is quasi-static."""
@@ -360,6 +363,8 @@ class Recorder:
                 out["reference"] = reference.file
                 if reference.is_band:
                     out["reference_inside"] = reference.share_inside(displacement, load)
+        if scene.macro and self.rows:
+            out["homogenised"] = homogenised(scene, self.table())
         out |= {name: last.get(name) for name in (*ENERGIES, "energy_error", "time")}
         worst = max((abs(row[-2]) for row in self.rows), default=None)
         return out | {

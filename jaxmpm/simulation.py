@@ -65,8 +65,8 @@ class Simulation:
         if (function, capacity) not in self._compiled:
             began = clock.perf_counter()
             extra = (jnp.int32(0),) if function is explicit.advance else ()
-            lowered = function.lower(self.model, self.state, self._dt(), *extra)
-            self._compiled[function, capacity] = compilation.compiled(lowered)
+            program = compilation.program(function, self.model, self.state, self._dt(), *extra)
+            self._compiled[function, capacity] = program
             self.compile_seconds += clock.perf_counter() - began
         return self._compiled[function, capacity]
 

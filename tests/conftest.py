@@ -28,6 +28,8 @@ def _forget_what_was_compiled():
     yield
     if "jax" in sys.modules:
         sys.modules["jax"].clear_caches()
+    if "jaxmpm.compilation" in sys.modules:
+        sys.modules["jaxmpm.compilation"].forget_programs()
 
 
 @pytest.fixture
