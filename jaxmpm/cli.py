@@ -6,7 +6,7 @@ import os
 import sys
 from pathlib import Path
 
-from jaxmpm import __version__
+from jaxmpm import __version__, cli_ensemble
 
 QUASI_STATIC = 1e-3  # kinetic energy over stored at the peak, below which slower loading changes little
 
@@ -60,6 +60,7 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     run.add_argument("--resume", action="store_true", help="go on with an interrupted run in DIR")
     run.add_argument("--quiet", action="store_true", help="no progress")
+    cli_ensemble.add_options(run)
     run.set_defaults(command=_run)
 
     scenes = commands.add_parser("scenes", help="list the bundled scenes")
@@ -139,6 +140,8 @@ def _keep_compiled():
 def _run(options) -> int:
     from jaxmpm.scene import load_scene
 
+    if cli_ensemble.wanted(options):
+        return cli_ensemble.run(options, _folder, _keep_compiled)
     scene = load_scene(options.scene, options.overrides)
     directory = _folder("--out", options.out or Path("results") / scene.name)
     from jaxmpm.run import run_scene

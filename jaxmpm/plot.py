@@ -131,11 +131,13 @@ def peak_row(load: np.ndarray, known: float | None = None) -> int | None:
 
 
 def load_scale(load: np.ndarray, unit: str) -> tuple[float, str]:
+    """The factor and the unit in which loads are drawn: kN where they are large."""
     large = np.nanmax(np.abs(load), initial=0) > 1000
     return (1e-3, "kN") if unit == "N" and large else (1.0, unit)
 
 
 def label(name: str, unit: str) -> str:
+    """What is written at an axis for a gauge."""
     # A dollar sign in a name would start Matplotlib's mathematics.
     return f"{name.replace('_', ' ')} [{unit}]".replace(" []", "").replace("$", r"\$")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import csv
 import json
 import math
 import os
@@ -118,16 +119,27 @@ def read_units(path: str | os.PathLike) -> dict[str, str]:
 
 
 def write_summary(directory: str | os.PathLike, summary: Mapping[str, Any]) -> None:
-    """Write `summary` as the directory's summary.json, all of it or nothing.
+    """Write `summary` as the directory's summary.json, all of it or nothing; see `write_object`."""
+    write_object(Path(directory) / SUMMARY, summary)
+
+
+def write_object(path: str | os.PathLike, tree: Mapping[str, Any]) -> None:
+    """Write nested tables as JSON, all of it or nothing.
 
     NumPy (and JAX) numbers and arrays become plain ones, non-finite numbers null.
     """
-    text = json.dumps(_plain(summary, finite=True), indent=2, ensure_ascii=False, allow_nan=False)
+    text = json.dumps(_plain(tree, finite=True), indent=2, ensure_ascii=False, allow_nan=False)
+    _replace(Path(path), lambda aside: aside.write_text(text + "\n", encoding="utf-8"))
+
+
+def write_table(path: str | os.PathLike, header: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
+    """Write a table as CSV, words with commas in quotes, all of it or nothing."""
 
     def write(aside: Path) -> None:
-        aside.write_text(text + "\n", encoding="utf-8")
+        with open(aside, "w", encoding="utf-8", newline="") as file:
+            csv.writer(file, lineterminator="\n").writerows([header, *rows])
 
-    _replace(Path(directory) / SUMMARY, write)
+    _replace(Path(path), write)
 
 
 def read_summary(directory: str | os.PathLike) -> dict[str, Any]:
@@ -281,7 +293,7 @@ def _intact(data: h5py.Dataset) -> np.ndarray:
     return array
 
 
-def _replace(path: Path, write: Callable[[Path], None]) -> None:
+def _replace(path: Path, write: Callable[[Path], Any]) -> None:
     aside = path.with_name(path.name + ".part")
     try:
         write(aside)

@@ -25,7 +25,7 @@ ENERGIES = (
 )  # fmt: skip
 
 
-def _difference(before, now, path=""):
+def difference(before, now, path=""):
     """The first key in which two scenes differ, and both its values, for a message."""
     if type(before) is type(now) and isinstance(now, dict | list) and before != now:
         keys = [*before, *now] if isinstance(now, dict) else range(max(len(before), len(now)))
@@ -33,7 +33,7 @@ def _difference(before, now, path=""):
         for key in keys:
             pair = [_item(tree, key, absent) for tree in (before, now)]
             if pair[0] != pair[1]:
-                return _difference(*pair, f"{path}.{key}" if path else str(key))
+                return difference(*pair, f"{path}.{key}" if path else str(key))
     return f"{path} was {written(before)} and is {written(now)}"
 
 
@@ -114,7 +114,7 @@ class Recorder:
         """All samples, then pictures and summary."""
         status, error = "completed", None
         try:
-            with _terminate_as_interrupt():
+            with terminate_as_interrupt():
                 self._samples()
         except RunError as stop:
             status, error = f"stopped: {stop}", stop
@@ -273,7 +273,7 @@ class Recorder:
         if meta["scene"] != now:
             raise results.ResultError(
                 f"{path}: the scene differs from the one that was interrupted "
-                f"({_difference(meta['scene'], now)}); run it with the same scene and --set, or "
+                f"({difference(meta['scene'], now)}); run it with the same scene and --set, or "
                 "without --resume to start anew"
             )
         if meta["moving"] is not None and not self.moves:
@@ -398,7 +398,7 @@ def _name(path) -> str:
     return jax.tree_util.keystr(path, simple=True, separator=".")
 
 
-class _terminate_as_interrupt:
+class terminate_as_interrupt:
     """Inside, SIGTERM ends a run as Ctrl-C does: with everything on disk."""
 
     def __enter__(self):
