@@ -61,11 +61,18 @@ def run(options, folder, keep_compiled) -> int:
 
 def report(found: dict) -> str:
     """The peak and the homogenised numbers of an ensemble, a line each."""
+    from jaxmpm.ensemble_statistics import with_scatter
+
+    numbers = dict(found["numbers"])
+    if "strength" in numbers and numbers["strength"]["mean"] == abs(numbers["peak_load"]["mean"]):
+        del numbers["peak_load"], numbers["displacement_at_peak"]  # of a mean stress over its strain: the same
     lines = [f"{found['completed']} of {len(found['seeds'])} samples completed"]
-    for name, one in found["numbers"].items():
-        scatter = "" if one["std"] is None else f" ± {one['std']:.2g}"
-        share = "" if one["cov"] is None else f" ({one['cov']:.1%}; {one['q05']:.4g} to {one['q95']:.4g})"
-        lines.append(f"  {name.replace('_', ' '):22} {one['mean']:.4g}{scatter} {one['unit']}".rstrip() + share)
+    for name, one in numbers.items():
+        text = f"{with_scatter(one['mean'], one['std'])} {one['unit']}".rstrip()
+        share = "" if one["cov"] is None else f"{one['cov']:7.1%}  {one['q05']:.4g} to {one['q95']:.4g}"
+        lines.append(f"  {name.replace('_', ' '):21} {text:27} {share}".rstrip())
+    if len(lines) > 1 and found["completed"] > 1:
+        lines[0] += "; mean ± standard deviation, coefficient of variation, 5 to 95 %:"
     return "\n".join(lines)
 
 

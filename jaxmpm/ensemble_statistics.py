@@ -38,6 +38,18 @@ def spread(values) -> dict[str, float | int | None]:
     }  # fmt: skip
 
 
+def with_scatter(mean: float, std: float | None) -> str:
+    """A mean and its standard deviation as they are printed, to two digits of the second: 1.510 ± 0.074."""
+    if not std:
+        return f"{mean:.5g}"
+    power = int(np.floor(np.log10(max(abs(mean), std))))
+    power = 0 if -4 < power < 6 else power
+    mean, std = mean / 10.0**power, std / 10.0**power
+    digits = max(0, 1 - int(np.floor(np.log10(std))))
+    text = f"{mean:.{digits}f} ± {std:.{digits}f}"
+    return f"({text})e{power}" if power else text
+
+
 def statistics(summaries: dict[int, dict]) -> dict:
     """What ensemble.json says of the samples, their summaries by seed; see `ensemble.run_ensemble`.
 

@@ -41,17 +41,17 @@ def homogenised(scene, history: Mapping[str, np.ndarray]) -> dict:
     """
     component = driven_component(scene.macro)
     columns = _columns(scene, history)
-    energy = history["dissipated_energy"][-1] / section(scene.grid, component)
-    found = {"component": component, "fracture_energy": float(energy)}
+    energy = {"fracture_energy": float(history["dissipated_energy"][-1] / section(scene.grid, component))}
     stress, strain = columns.get(("stress", component)), columns.get(("strain", component))
     if stress is None or not np.abs(stress).max() > 0:
-        return found
+        return {"component": component} | energy
     peak = int(np.abs(stress).argmax())
-    found |= {"strength": float(abs(stress[peak])), "stress_left": float(abs(stress[-1] / stress[peak]))}
-    if strain is None:
-        return found
-    across = columns.get(("strain", {"xx": "yy", "yy": "xx"}.get(component)))
-    return found | {"strain_at_strength": float(abs(strain[peak]))} | _stiffness(scene, stress, strain, across)
+    found = {"component": component}
+    if strain is not None:
+        across = columns.get(("strain", {"xx": "yy", "yy": "xx"}.get(component)))
+        found |= _stiffness(scene, stress, strain, across) | {"strain_at_strength": float(abs(strain[peak]))}
+    left = float(abs(stress[-1] / stress[peak]))
+    return found | {"strength": float(abs(stress[peak])), "stress_left": left} | energy
 
 
 def driven_component(macro) -> str:

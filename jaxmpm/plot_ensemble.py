@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxmpm import plot_style
-from jaxmpm.ensemble_statistics import HIGH, LOW, common_axis
+from jaxmpm.ensemble_statistics import HIGH, LOW, common_axis, with_scatter
 from jaxmpm.plot import load_scale, label, response
 from jaxmpm.plot_style import ACCENT, FAINT, INK, styled_figure, title
 from jaxmpm.results import read_summary, read_units
@@ -40,11 +40,12 @@ def plot_ensemble(directory: str | os.PathLike, path: str | os.PathLike | None =
         figure.set_size_inches(6.4, 4.4)
         axes = figure.add_axes((0.11, 0.12, 0.86, 0.78))
         _draw_curves(axes, [(x, load * factor) for x, load in curves])
-        _draw_peaks(axes, found["numbers"], [read_summary(one) for one in at], factor)
+        _draw_peaks(axes, found["numbers"], [read_summary(one) for one in at], factor, load_unit)
         axes.set_xlabel(label(names["displacement"], units[names["displacement"]]))
         axes.set_ylabel(label(names["load"], load_unit))
         _tidy(axes)
         axes.margins(x=0.02, y=0.08)
+        axes.ticklabel_format(axis="x", scilimits=(-3, 4), useMathText=True)
         axes.legend(loc="upper right", frameon=False)
         title(axes, found, [_about(found)])
         return plot_style.save(figure, Path(path or directory / "ensemble.png"))
@@ -73,7 +74,7 @@ def _draw_curves(axes: Axes, curves: list) -> None:
         axes.plot(axis, mean, color=INK, lw=2.0, zorder=3, label="mean")
 
 
-def _draw_peaks(axes: Axes, numbers: dict, summaries: list[dict], factor: float) -> None:
+def _draw_peaks(axes: Axes, numbers: dict, summaries: list[dict], factor: float, unit: str) -> None:
     """A dot at the peak of every sample, and their mean with its standard deviations, named."""
     peak, place = (numbers[name] for name in ("peak_load", "displacement_at_peak"))
     points = np.array([(s["displacement_at_peak"], s["peak_load"] * factor) for s in summaries])
@@ -82,7 +83,7 @@ def _draw_peaks(axes: Axes, numbers: dict, summaries: list[dict], factor: float)
     if peak["std"] is None:
         return
     bars = {"xerr": place["std"], "yerr": peak["std"] * factor}
-    text = f"peak {y:.3g} ± {bars['yerr']:.2g}, coefficient of variation {peak['cov'] or 0:.1%}"
+    text = f"peak {with_scatter(y, bars['yerr'])} {unit} (CoV {100 * (peak['cov'] or 0):.2g} %)"
     axes.errorbar(x, y, **bars, color=ACCENT, lw=1.3, capsize=2.5, fmt="o", ms=4, zorder=5, label=text)
 
 
