@@ -103,22 +103,40 @@ def plot_sizes(
     with styled_figure() as figure:
         figure.set_size_inches(7.2, 3.3)
         left, right = (figure.add_axes((start, 0.15, 0.385, 0.72)) for start in (0.08, 0.58))
-        for k in there:
-            left.plot(np.full(len(peaks[k]), x[k]), np.array(peaks[k]) * factor, ".", color=SAMPLE, ms=4, mew=0)
-        mean = np.array([found[k]["mean"] for k in there]) * factor
-        std = np.array([found[k]["std"] or 0.0 for k in there]) * factor
-        left.errorbar(x[there], mean, std, color=INK, lw=1.6, capsize=3, fmt="o-", ms=4)
+        _draw_means(left, x[there], [found[k] for k in there], [peaks[k] for k in there], factor)
         left.set_ylabel(f"peak, mean ± standard deviation [{unit}]")
-        right.plot(x[there], [100 * (found[k]["cov"] or 0.0) for k in there], "o-", color=ACCENT, lw=1.6, ms=4)
-        right.set_ylabel("coefficient of variation of the peak [%]")
-        right.set_ylim(bottom=0.0)
+        _draw_variation(right, x[there], [found[k] for k in there])
+        right.set_ylabel("coefficient of variation ± its error [%]")
         for axes in (left, right):
             _tidy(axes)
-            axes.margins(x=0.08)
-            axes.set_xlabel(key.rpartition(".")[2].replace("_", " ").replace("$", r"\$"))
-            axes.set_xticks(x, [str(value) if not numeric else f"{value:g}" for value in values])
-        title(left, {"title": ensembles[0]["title"]}, [f"{min(map(len, peaks))} samples or more for each value"])
+            axes.margins(x=0.1)
+            axes.set_xlabel(label(key.rpartition(".")[2], ""))
+            axes.set_xticks(x, [f"{value:g}" if numeric else value for value in values])
+        whole = figure.add_axes((0.08, 0.15, 0.885, 0.72))
+        whole.set_axis_off()
+        title(whole, {"title": ensembles[0]["title"]}, [_counts([len(one) for one in peaks])])
         return plot_style.save(figure, Path(path))
+
+
+def _counts(counts: list[int]) -> str:
+    low, high = min(counts), max(counts)
+    return f"{high} samples each" if low == high else f"{low} to {high} samples each"
+
+
+def _draw_means(axes: Axes, x: np.ndarray, found: list[dict], peaks: list[list[float]], factor: float) -> None:
+    """Means with their standard deviations, the samples as dots beside them."""
+    mean, std = (factor * np.array([one[name] or 0.0 for one in found]) for name in ("mean", "std"))
+    beside = 0.03 * (np.ptp(x) or 1.0)
+    for place, each in zip(x, peaks, strict=True):
+        axes.plot(np.full(len(each), place + beside), factor * np.array(each), ".", color=SAMPLE, ms=6, mew=0)
+    axes.errorbar(x, mean, std, color=INK, lw=1.6, capsize=3, fmt="o-", ms=4)
+
+
+def _draw_variation(axes: Axes, x: np.ndarray, found: list[dict]) -> None:
+    """Coefficients of variation v with their standard error v √((1/2 + v²)/n), of normally distributed samples."""
+    v, n = (np.array([one[name] or 0.0 for one in found]) for name in ("cov", "count"))
+    axes.errorbar(x, 100 * v, 100 * v * np.sqrt((0.5 + v**2) / n), color=ACCENT, lw=1.6, capsize=3, fmt="o-", ms=4)
+    axes.set_ylim(bottom=0.0)
 
 
 def _tidy(axes: Axes) -> None:
