@@ -6,7 +6,7 @@ from jaxmpm.homogenise import UNITS
 
 LOW, HIGH = 5, 95  # per cent: the quantiles
 AXIS = 400  # places of the common axis
-OF_RUN = ("energy_error", "kinetic_share")
+OF_RUN = ("energy_error", "kinetic_share_at_peak")
 
 
 def numbers_of(summary: dict) -> dict[str, float]:
