@@ -51,7 +51,7 @@ def run_ensemble(
     """Run a scene for each seed and write what the samples have in common; returns that.
 
     Args:
-        scene: with something that is drawn at random; its own seeds do not matter.
+        scene: something in it is drawn at random; its own seeds do not matter.
         seeds: whole numbers from 0, each once.
         directory: gets seed_0001/ … as of `run_scene`, ensemble.csv (a row a sample), ensemble.json (what
             is returned) and ensemble.png.
@@ -63,14 +63,14 @@ def run_ensemble(
         `completed`, `failed` (reason by seed), `unfinished` (seeds) and `numbers`, the statistics of
         each number of a sample (`ensemble_statistics.statistics`).
 
-    A sample that stops or cannot be built is recorded and the others go on. Raises SceneError where
-    there is nothing random or no sample can be built, ResultError where `resume` finds another scene;
-    KeyboardInterrupt after all that was computed is on disk.
+    A sample that stops or cannot be built is recorded, the others go on. Raises SceneError where nothing
+    is random or no sample can be built, ResultError where `resume` finds another scene; KeyboardInterrupt
+    after all that was computed is on disk.
     """
     directory = Path(directory)
     samples = {int(seed): with_seed(scene, seed) for seed in seeds}
     done = _ready(samples, directory, resume)
-    todo = [seed for seed in samples if seed not in done]
+    todo = {seed: sample.to_dict() for seed, sample in samples.items() if seed not in done}
     told = _Teller(progress, list(samples), len(done))
 
     def ended(seed):
@@ -80,17 +80,21 @@ def run_ensemble(
     try:
         with terminate_as_interrupt():
             if jobs > 1:
-                run_beside(run_sample, {seed: samples[seed].to_dict() for seed in todo}, directory, jobs, ended)
+                run_beside(run_sample, todo, directory, jobs, ended)
             else:
-                for seed in todo:
-                    run_sample(samples[seed].to_dict(), folder(directory, seed), told.bar)
-                    ended(seed)
+                _run_in_turn(todo, directory, told.bar, ended)
     finally:
         found = write_ensemble(scene, samples, directory)
     refused = [reason for reason in found["failed"].values() if reason.startswith("refused: ")]
     if len(refused) == len(samples):
         raise SceneError(refused[0].removeprefix("refused: "))
     return found
+
+
+def _run_in_turn(todo: dict[int, dict], directory: Path, bar: bool, ended) -> None:
+    for seed, tree in todo.items():
+        run_sample(tree, folder(directory, seed), bar)
+        ended(seed)
 
 
 def run_sample(tree: dict, directory: Path, progress: bool = False) -> None:
