@@ -1,4 +1,8 @@
-"""Compilation is what costs time here: the code generator that is quickest, and a cache to share."""
+"""Compilation is what costs time here: little optimisation, the quickest code generator, a shared cache.
+
+Programs run for less time than it would take to optimise them. A file of whose programs this is not
+true says `OPTIMISED = True`.
+"""
 
 import os
 import subprocess
@@ -9,7 +13,8 @@ import pytest
 
 _kept = tempfile.TemporaryDirectory(prefix="jaxmpm-tests-")
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", _kept.name)  # before JAX is imported
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")  # small ones are many
+os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
 
 _flags = " ".join([os.environ.get("XLA_FLAGS", ""), "--xla_cpu_use_fusion_emitters=false"]).strip()
 _probe = subprocess.run(  # an XLA that does not know a flag ends the process
@@ -23,9 +28,15 @@ if _probe.returncode == 0:
 
 
 @pytest.fixture(autouse=True, scope="module")
-def _forget_what_was_compiled():
-    """Programs of one file are of no use to the next, and they add up to gigabytes."""
-    yield
+def _programs_of_one_file(request):
+    """They are optimised or not, and of no use to the next file, and they add up to gigabytes."""
+    with pytest.MonkeyPatch.context() as patch:
+        if getattr(request.module, "OPTIMISED", False):
+            patch.setenv("JAX_DISABLE_MOST_OPTIMIZATIONS", "0")  # of processes that it starts
+        if "jax" in sys.modules:
+            quick = os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"].lower() in ("1", "true")
+            sys.modules["jax"].config.update("jax_disable_most_optimizations", quick)
+        yield
     if "jax" in sys.modules:
         sys.modules["jax"].clear_caches()
     if "jaxmpm.compilation" in sys.modules:
@@ -45,3 +56,16 @@ def figures(monkeypatch):
 
     monkeypatch.setattr(plot_style, "save", keep)
     return saved
+
+
+LONGEST = ("test_notebooks", "test_balance", "test_tangent", "test_differentiable", "test_hand_over", "test_run", "test_moving")
+
+
+def pytest_configure(config):
+    if hasattr(config.option, "loadscopereorder"):  # xdist would begin with files of many tests
+        config.option.loadscopereorder = False
+
+
+def pytest_collection_modifyitems(items):
+    """Files that take long come first, so that no worker is left alone with one at the end."""
+    items.sort(key=lambda item: LONGEST.index(item.path.stem) if item.path.stem in LONGEST else len(LONGEST))
