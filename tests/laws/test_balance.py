@@ -95,14 +95,14 @@ def test_float32_follows_float64_to_a_hundredth_of_the_strength():
 
 @pytest.mark.parametrize("kind", ["damage", "closing", "plastic", "hordijk"])
 def test_every_state_balances(kind):
-    """A hundred thousand states, a quarter each, with any normal, size, direction and step.
+    """Seventy thousand states, a quarter each, with any normal, size, direction and step.
 
     0.001 to 1000 onset strains at once, sizes from h to 20 H_max, Poisson's ratio up to 1/2.
     """
     rng = np.random.default_rng(LAWS.index(kind))
     at, tolerance = jax.jit(answer), jax.jit(balance.tolerance, static_argnums=4)
     total = jumps = 0
-    for size, share, rounds in ((3, 20.0, 15), (4, 0.9, 2)):
+    for size, share, rounds in ((3, 20.0, 10), (4, 0.9, 2)):
         for _ in range(rounds):
             tilt, nu = rng.choice([0.0, 0.3, 1.3]), [(0.0, 0.35), (0.49, 0.4999)][rng.integers(2)]
             embedding, band = random_points(rng, size, kind, tilt, 1e4, share, nu)
@@ -127,7 +127,7 @@ def test_every_state_balances(kind):
                 assert (p[rests] == was[rests]).all() and (gap[rests] < 1e-10).all()
                 assert (p >= was).all() and (np.abs(gap[~rests]) < 1e-8).all()
                 band, total, jumps = found.band, total + COUNT, jumps + (status == balance.JUMPS).sum()
-    assert total > 25_000 and jumps > 1000
+    assert total > 18_000 and jumps > 1000
 
 
 @pytest.mark.parametrize("kind, size", [("damage", 1), ("damage", 6), ("exponential", 3)])
@@ -356,14 +356,15 @@ def test_gradients_through_a_thousand_steps_of_a_cyclic_path():
         return jax.lax.scan(step, start, path)[0][3]
 
     logs = jnp.log(jnp.array(list(CONCRETE.values())))
-    jit = lambda f: jax.jit(f)  # noqa: E731
-    forward = np.asarray(jit(jax.jacfwd(work))(logs))
-    reverse = np.asarray(jit(jax.grad(work))(logs))
+    units = jnp.eye(len(CONCRETE))
+    both = jax.jit(lambda logs, unit: jax.jvp(work, (logs,), (unit,)))
+    forward = np.array([both(logs, unit)[1] for unit in units])
+    reverse = np.asarray(jax.jit(jax.grad(work))(logs))
     assert np.isfinite(forward).all() and np.abs(forward).min() > 0
     np.testing.assert_allclose(reverse, forward, rtol=1e-8, atol=1e-12)
-    value = jit(work)
-    for k, unit in enumerate(np.eye(len(CONCRETE))):
-        quotient = float(value(logs + 1e-5 * unit) - value(logs - 1e-5 * unit)) / 2e-5
+    value = lambda logs: float(both(logs, units[0])[0])  # noqa: E731
+    for k, unit in enumerate(units):
+        quotient = (value(logs + 1e-5 * unit) - value(logs - 1e-5 * unit)) / 2e-5
         assert forward[k] == pytest.approx(quotient, rel=2e-4, abs=1e-8)
 
 
