@@ -58,7 +58,7 @@ def figures(monkeypatch):
     return saved
 
 
-LONGEST = ("test_notebooks", "test_balance", "test_tangent", "test_differentiable", "test_hand_over", "test_run", "test_moving")
+LONGEST = ("test_notebooks", "test_balance", "test_tangent", "test_differentiable", "test_moving", "test_hand_over", "test_run")
 
 
 def pytest_configure(config):

@@ -222,7 +222,7 @@ def test_a_bar_in_three_dimensions_moves_as_in_one(shape):
         low, high = (*[2] * (d - 1), 2), (*[4] * (d - 1), 10)
         points = body(shape, (*[6] * (d - 1), 16), 1.0, low, high, start)
         model = Model(law, jnp.zeros(d), Numerics(1.0, (*[6] * (d - 1), 16), shape))
-        _, x, fields = run(model, points, 0.1, 60)
+        _, x, fields = run(model, points, 0.1, 40)
         line = np.isclose(fields["home"][0], 2.25) if d == 3 else x[0] > 0
         line &= np.isclose(fields["home"][-2], 2.25) if d == 3 else line
         found.append((x[-1] - fields["home"][-1])[line][np.argsort(fields["home"][-1][line])])
