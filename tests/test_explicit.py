@@ -11,6 +11,8 @@ from jaxmpm import model as models
 from jaxmpm.run import Simulation, energy_error
 from jaxmpm.scene import Scene, load_scene
 
+HASTY = True  # see conftest.py
+
 
 def scene(**changes):
     """A 20×20 mm block, free or loaded, elastic unless it is given a band."""

@@ -12,6 +12,8 @@ from jaxmpm.laws.finite import rotation, strain_in
 from jaxmpm.run import run_scene
 from jaxmpm.verify_scenes import turned
 
+HASTY = True  # see conftest.py
+
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):

@@ -10,6 +10,8 @@ from jaxmpm.moving import Model, Numerics, Transfer, advance, energies, first_st
 from jaxmpm.points import in_bins, listed
 from jaxmpm.shape_functions import Cubic, Gimp, Linear, Quadratic
 
+HASTY = True  # see conftest.py
+
 SHAPES = [Linear(), Gimp(0.25), Quadratic(), Cubic()]
 TRANSFERS = [Transfer("flip", flip=0.95), Transfer("taylor"), Transfer("apic"), Transfer("xpic", order=3)]
 

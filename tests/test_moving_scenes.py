@@ -11,6 +11,8 @@ from jaxmpm.run import energy_error
 from jaxmpm.scene import load_scene
 from jaxmpm.simulation import Simulation
 
+HASTY = True  # see conftest.py
+
 
 def simulation(*args, **kwargs):
     return MovingSimulation.of(Simulation.of(scene(*args, **kwargs)))

@@ -14,7 +14,7 @@ SHORTER = {
     "02_moving_points": [TO_THE_PEAK, ("cells = (8, 16, 32)", "cells = (8, 16)"), ("3.407e-4, 8.528e-5]", "3.407e-4]")],
     "04_gradients": [TO_THE_PEAK],
 }
-OPTIMISED_ONES = ("03_calibration",)  # a beam that runs for longer than its program is compiled
+HASTY_ONES = ("02_moving_points",)  # see conftest.py
 
 
 def test_there_are_notebooks():
@@ -32,9 +32,9 @@ def test_it_runs_and_was_saved_with_its_outputs(path, monkeypatch):
         assert sum(old in cell.source for cell in code) == 1
         for cell in code:
             cell.source = cell.source.replace(old, new)
-    if path.stem in OPTIMISED_ONES:
-        monkeypatch.setenv("JAX_DISABLE_MOST_OPTIMIZATIONS", "0")
+    if path.stem in HASTY_ONES:
+        monkeypatch.setenv("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
     folder = {"metadata": {"path": str(path.parent)}}
-    NotebookClient(notebook, timeout=120, kernel_name="python3", resources=folder).execute()
+    NotebookClient(notebook, timeout=None, kernel_name="python3", resources=folder).execute()
     streams = [out for cell in code for out in cell.outputs if out.output_type == "stream"]
     assert {out.name for out in streams} <= {"stdout"}  # no warnings

@@ -14,7 +14,6 @@ from jaxmpm import results, vtkhdf
 from jaxmpm.run import run_scene
 from jaxmpm.scene import load_scene
 
-OPTIMISED = True  # a run of the plate takes longer than to optimise it
 DEN = ["grid.cell=5", "output.samples=60", "output.frames=4"]
 
 

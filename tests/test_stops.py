@@ -7,6 +7,8 @@ from jaxmpm.errors import RunError, SceneError
 from jaxmpm.run import Simulation, run_scene
 from jaxmpm.scene import load_scene
 
+HASTY = True  # see conftest.py
+
 BAR = ["output.samples=20", "output.frames=2"]
 
 

@@ -8,6 +8,8 @@ from jaxmpm.errors import RunError, SceneError
 from jaxmpm.layout import lay_out
 from jaxmpm.run import run_scene
 
+HASTY = True  # see conftest.py
+
 
 def dropped(height, frame="auto", duration=0.2, modulus=1.0, **more):
     """A soft block under gravity, some mm above a floor."""
