@@ -2,8 +2,6 @@
 
 import numpy as np
 
-from jaxmpm.errors import SceneError
-
 
 def draw_sizes(grading, area: float, random: np.random.Generator) -> np.ndarray:
     """Sizes (n,), mm, the largest first, whose circles have an `area` (mm²) in all.
@@ -11,13 +9,8 @@ def draw_sizes(grading, area: float, random: np.random.Generator) -> np.ndarray:
     The area is filled from the top of the curve down: an inclusion that takes the area S to S + a
     has a size from that part of the curve, at random within it. So the curve of what was drawn is
     never off by much more than one inclusion. Then all are scaled, by less than the last one counts, to
-    the area itself. Raises SceneError where that area is less than one of the largest.
+    the area itself, which is that of one of the largest at least.
     """
-    if area < circle(grading.largest):
-        raise SceneError(
-            f"mesostructure.inclusions.fraction: expected enough for one inclusion of the largest size, "
-            f"{circle(grading.largest):.4g} mm² (it makes {area:.4g} mm²; use smaller inclusions)"
-        )
     sizes, taken, size = [], 0.0, grading.largest
     while True:
         share = (taken + random.random() * circle(size)) / area

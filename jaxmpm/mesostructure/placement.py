@@ -10,7 +10,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from jaxmpm.errors import SceneError
+from jaxmpm.errors import SceneError, written
 from jaxmpm.mesostructure import outlines, relaxation
 from jaxmpm.mesostructure.grading import circle, draw_sizes
 from jaxmpm.mesostructure.structure import SHIFTS, Structure, lower, reach_of
@@ -30,6 +30,12 @@ def place(table: Inclusions, box: tuple[float, float, float, float], seed: int) 
     """
     random = np.random.default_rng(seed)
     whole = (box[2] - box[0]) * (box[3] - box[1])
+    least = circle(table.grading.largest) / whole
+    if table.fraction < least:
+        raise SceneError(
+            f"mesostructure.inclusions.fraction = {table.fraction:g}: expected at least {least:.4g}, what one inclusion "
+            "of the largest size takes (use smaller inclusions)"
+        )
     sizes = draw_sizes(table.grading, table.fraction * whole, random)
     reached = 0.0
     for _ in range(ATTEMPTS):
@@ -48,6 +54,7 @@ class Room:
     """Inclusions on their way into a rectangle: what has a place, and where there is room still."""
 
     def __init__(self, table: Inclusions, box, sizes: np.ndarray, random: np.random.Generator):
+        self.grading = written(table.grading.model_dump())
         self.gap, self.periodic, self.random = table.gap, table.edges == "periodic", random
         self.low, self.high = np.reshape(box, (2, 2))
         self.span = self.high - self.low
@@ -76,7 +83,7 @@ class Room:
         most = self.span.min() / (2 if self.periodic else 1)
         if widest > most:
             raise SceneError(
-                f"mesostructure.inclusions.grading: expected inclusions no wider than {most:.4g} mm, gap included, in "
+                f"mesostructure.inclusions.grading = {self.grading}: expected inclusions no wider than {most:.4g} mm, gap included, in "
                 f"a body of {self.span[0]:g} by {self.span[1]:g} mm (the widest takes {widest:.4g} mm)"
             )
 

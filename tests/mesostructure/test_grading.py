@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from jaxmpm.errors import SceneError
 from jaxmpm.mesostructure.grading import draw_sizes, measured
 from jaxmpm.mesostructure.tables import Fuller, Sieve
 
@@ -50,8 +49,3 @@ def test_fullers_curve_and_its_inverse():
 def test_seeds():
     assert (drawn(FULLER) == drawn(FULLER)).all()
     assert len(drawn(FULLER)) != len(drawn(FULLER, seed=1)) or (drawn(FULLER) != drawn(FULLER, seed=1)).any()
-
-
-def test_too_little_for_one():
-    with pytest.raises(SceneError, match="fraction.*one inclusion"):
-        drawn(FULLER, area=20.0)

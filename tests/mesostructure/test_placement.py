@@ -109,9 +109,14 @@ def test_what_does_not_fit_is_said_with_what_was_reached():
     assert 0.2 < reached < 0.5  # saturation at 0.547 of discs that are 1.9 times as large with their gap
 
 
+def test_too_little_for_one_is_said_with_what_one_takes():
+    with pytest.raises(SceneError, match="fraction = 0.01: expected at least 0.[0-9]+, what one inclusion"):
+        placed(fraction=0.01, grading={"kind": "fuller", "smallest": 2.0, "largest": 6.0})
+
+
 @pytest.mark.parametrize(("edges", "largest"), [("inside", 25.2), ("periodic", 14.0)])
 def test_inclusions_as_large_as_the_body(edges, largest):
-    with pytest.raises(SceneError, match="grading: expected inclusions no wider than"):
+    with pytest.raises(SceneError, match="grading = .*: expected inclusions no wider than"):
         placed(fraction=0.8, edges=edges, grading={"kind": "fuller", "smallest": largest, "largest": largest})
 
 
