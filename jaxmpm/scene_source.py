@@ -85,16 +85,30 @@ def find_own_laws(tree: dict[str, Any], folder: Path) -> None:
 
 def override(tree: dict[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
     """A copy of `tree` with each "key.path=value" put in, tables made where they are missing."""
-    tree = copy.deepcopy(tree)
+    before, tree = tree.get("parameters"), copy.deepcopy(tree)
+    known = list(before) if isinstance(before, dict) else []
     lines = []
     for text in overrides:
         try:
             _put(tree, text)
         except SceneError as error:
             lines += error.lines
+    for text in overrides:
+        group, _, name = text.partition("=")[0].strip().partition(".")
+        if group == "parameters" and name and name not in known and not _mentions(tree, name):
+            near = did_you_mean(name, known)
+            advice = f"did you mean {near}?" if near else "nothing in the scene asks for it"
+            lines.append(f"override {written(text)}: expected a parameter of the scene, one of {', '.join(known) or 'none'} ({advice})")
     if lines:
         raise SceneError(lines)
     return tree
+
+
+def _mentions(node: Any, name: str) -> bool:
+    """Whether a text in nested tables names a parameter."""
+    if isinstance(node, dict | list):
+        return any(_mentions(item, name) for item in (node.values() if isinstance(node, dict) else node))
+    return isinstance(node, str) and re.search(rf"\b{re.escape(name)}\b", node) is not None
 
 
 def _put(tree: dict[str, Any], text: str) -> None:

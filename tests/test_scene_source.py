@@ -53,6 +53,7 @@ def test_an_override_one_past_the_end_appends():
         ("grid..cell=3", "expected key.path=value"),
         ("grid.cell.x=3", "expected grid.cell to be a table or a list, it is 2.5"),
         ("supports.9.set=top", "expected an item number 0 to 2 after supports"),
+        ("parameters.sid=3", "expected a parameter of the scene"),
         ("supports.first.set=top", "expected an item number 0 to 2 after supports"),
     ],
 )
@@ -151,3 +152,10 @@ def test_a_hopeless_file_is_told_what_is_needed(tmp_path, text):
     for key in ("title", "grid", "materials", "bodies", "solver"):
         assert sum(line.startswith(key) for line in lines) == 1
     assert all("expected" in line for line in lines)
+
+
+def test_a_parameter_that_nothing_asks_for_is_refused():
+    (line,) = lines_of("rve", ["parameters.sid=12.5"])
+    assert "did you mean side?" in line
+    added = load_scene("bar", ["parameters.wide=30.0", "grid.thickness=$wide"])
+    assert added.grid.thickness == 30.0
