@@ -250,6 +250,11 @@ def _picture_format(options) -> str:
 
     if options.animate and options.frame is not None:
         raise ResultError(f"--frame = {options.frame}: expected none with --animate, all are shown")
+    looks = (("--animate", options.animate or None), ("--frame", options.frame), ("--deformed", options.deformed))
+    for name, value in (*looks, ("--field", None if options.field == "material" else options.field)):
+        if options.stages and value is not None:
+            given = "" if value is True else f" = {value}"
+            raise ResultError(f"{name}{given}: expected none with --stages, a picture of its own")
     if not options.animate and options.fps is not None:
         raise ResultError(f"--fps = {options.fps:g}: expected only with --animate")
     kinds = ("gif", "mp4") if options.animate else ("png", "pdf", "svg")

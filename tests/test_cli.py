@@ -86,6 +86,9 @@ def test_verify_one_opening(tmp_path):
         ("benchmark dne", 'did you mean "den"?'),
         ("run bar --out FILE", "--out = FILE: expected a folder to write to, but FILE is a file"),
         ("run bar --out FILE/in", "but FILE is a file"),
+        ("plot DIR --stages --animate", "--animate: expected none with --stages"),
+        ("plot DIR --stages --frame 3", "--frame = 3: expected none with --stages"),
+        ("plot DIR --stages --field stress", "--field = stress: expected none with --stages"),
     ],
 )
 def test_options_that_do_not_go_together_are_named(arguments, words, tmp_path, capsys):
