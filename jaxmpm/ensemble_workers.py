@@ -17,6 +17,7 @@ def run_beside(run: Callable, trees: dict[int, dict], directory: Path, jobs: int
     A worker that dies takes its sample with it, not the others: `ended` is called for that one too, last.
     At KeyboardInterrupt the workers save what they have first.
     """
+    jobs = min(jobs, len(trees))
     context = multiprocessing.get_context("spawn")  # JAX has threads, which a fork would not survive
     todo, done = context.Queue(), context.Queue()
     for seed in [*trees, *[None] * jobs]:

@@ -230,6 +230,7 @@ def test_the_command_names_failed_samples_in_one_line(done, capsys, monkeypatch)
         ("--samples 2 --vary grid.cell", "expected KEY=V1,V2"),
         ("--samples 2 --vary grid.cell=1,,2", "expected KEY=V1,V2"),
         ("--samples 2 --vary grid.cell=1,1", "expected values that differ"),
+        ("--samples 2 --vary grid.cell=1,1.0", "expected values that differ"),
         ("--samples 2 --vary mesostructure.seed=1,2", "expected another key"),
         ("--samples 2 --vary grid.cel=0.5,1", "grid.cel = 0.5"),
         ("--samples 2", "mesostructure.inclusions: absent"),
