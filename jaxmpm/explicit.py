@@ -203,7 +203,8 @@ def _open(model, prepared, state, pool, grip, elastic, stress, strain, dt):
         share = _onset_share(*ratios, cells, new)
         borne = with_bands(earlier, state.place, state.pool.stress)
         between = lambda a, b: a + share * (b - a)  # noqa: E731
-        averages = (averaged(s.mean, cells, n.normal_window) for s in (borne, stress))
+        periodic_cell = model.macro is not None
+        averages = (averaged(s.mean, cells, n.normal_window, periodic_cell) for s in (borne, stress))
         normal = tensor.first_principal_direction(between(*averages))
         size = bands.effective_size(n.effective_size, normal, n.cell)
         laws = bands.at(model.embedding, model.material.reshape(-1)[cells])
@@ -255,13 +256,18 @@ def most_critical(ratio, number):
     return cells, jnp.arange(ROOM) < count
 
 
-def averaged(mean, cells, window):
-    """Stress averaged over window × window cells around some, but for a factor, (3, k)."""
+def averaged(mean, cells, window, wraps=False):
+    """Stress averaged over window × window cells around some, but for a factor, (3, k).
+
+    What lies beyond an edge counts nothing, or, where the grid `wraps`, is what lies at the opposite one.
+    """
     nx, ny = mean[0].shape
     reach = window // 2
     i, j = cells // ny, cells % ny
     di, dj = jnp.meshgrid(*(jnp.arange(-reach, reach + 1),) * 2, indexing="ij")
     ii, jj = i[:, None] + di.reshape(-1), j[:, None] + dj.reshape(-1)
+    if wraps:
+        ii, jj = ii % nx, jj % ny
     inside = (ii >= 0) & (ii < nx) & (jj >= 0) & (jj < ny)
     index = jnp.where(inside, ii * ny + jj, 0)
     return jnp.stack([jnp.where(inside, c.reshape(-1)[index], 0.0).sum(1) for c in mean[:3]])

@@ -350,6 +350,9 @@ def _check_macro(tree: dict, problems: Problems) -> None:
             problems.add((key,), "none with [macro]", "the mean strain is all that drives the volume")
     if any(value != 0 for value in tree.get("gravity") or ()):
         problems.add(("gravity",), "none with [macro]")
+    for i, body in _entries(tree, "bodies"):
+        if any(value != 0 for value in body.get("velocity") or ()):
+            problems.add(("bodies", i, "velocity"), "none with [macro]", "the mean strain is all that drives the volume")
     for side, kind in _entries_of(tree.get("grid"), "walls"):
         if kind != "stop":
             problems.add(("grid", "walls", side), '"stop" with [macro]')
