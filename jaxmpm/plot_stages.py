@@ -59,17 +59,22 @@ def _curve(axes: Axes, directory: Path, summary: dict, stages: list[Stage]) -> N
     names, units = summary["response"], read_units(directory / "history.csv")
     factor, unit = load_scale(load, units[names["load"]])
     axes.plot(displacement, load * factor, color=INK, lw=1.4)
-    at_peak = displacement[peak_row(load)]
+    peak = peak_row(load)
+    right, up = (1 if value[peak] >= 0 else -1 for value in (displacement, load))  # which way the curve goes
     for stage in stages:
         x, y = stage.displacement, stage.load * factor
         axes.plot([x], [y], "o", color=ACCENT, ms=4.5, zorder=3)
-        side = {"xytext": (-7, 3), "ha": "right"} if x < at_peak else {"xytext": (6, 3), "ha": "left"}
-        axes.annotate(str(stage.number), (x, y), textcoords="offset points", color=ACCENT, fontweight="bold", **side)
+        side = -right if abs(x) < abs(displacement[peak]) else right  # outside the curve
+        look = {"ha": "left" if side > 0 else "right", "va": "baseline" if up > 0 else "top"}
+        axes.annotate(
+            str(stage.number), (x, y), (7 * side, 3 * up), textcoords="offset points", color=ACCENT, fontweight="bold", **look
+        )
+    axes.ticklabel_format(axis="x", scilimits=(-3, 4), useMathText=True)
     axes.set_xlabel(label(names["displacement"], units[names["displacement"]]))
     axes.set_ylabel(label(names["load"], unit))
     axes.grid(color="#dddddd", lw=0.6)
     axes.set_axisbelow(True)
-    axes.margins(x=0.03, y=0.1)
+    axes.margins(x=0.05, y=0.1)
     axes.spines[["top", "right"]].set_visible(False)
 
 
