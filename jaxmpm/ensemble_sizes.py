@@ -5,6 +5,7 @@ from pathlib import Path
 
 from jaxmpm import results
 from jaxmpm.ensemble import read_sample, run_ensemble, with_seed
+from jaxmpm.layout import lay_out
 from jaxmpm.scene import Scene
 
 STATISTICS = ("count", "mean", "std", "cov", "standard_error", "q05", "q95")
@@ -19,7 +20,7 @@ def run_sizes(key: str, scenes: dict[str, Scene], seeds: Sequence[int], director
     """
     directory, found = Path(directory), {}
     for scene in scenes.values():
-        with_seed(scene, seeds[0])  # refuses what draws nothing, before anything runs
+        lay_out(with_seed(scene, seeds[0]))  # refuses what draws nothing or has no room, before anything runs
     try:
         for value, scene in scenes.items():
             found[value] = run_ensemble(scene, seeds, directory / f"{key.rpartition('.')[2]}_{value}", **about)

@@ -4,6 +4,7 @@ import multiprocessing
 import os
 import queue
 import signal
+import threading
 from collections.abc import Callable
 from contextlib import contextmanager
 from pathlib import Path
@@ -57,6 +58,7 @@ def _work(run, trees, directory, todo, done):
     # Ctrl-C reaches every process of a terminal: the first one passes it on, once.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     keep_compiled()
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
         with terminate_as_interrupt():
             while (seed := todo.get()) is not None and multiprocessing.parent_process().is_alive():
@@ -64,6 +66,12 @@ def _work(run, trees, directory, todo, done):
                 done.put(seed)
     except KeyboardInterrupt:  # the run has saved what it had
         pass
+
+
+def _end_with_parent():
+    """Where the first process is killed, end as if it had asked: with what there is on disk."""
+    multiprocessing.parent_process().join()
+    os.kill(os.getpid(), signal.SIGTERM)
 
 
 @contextmanager

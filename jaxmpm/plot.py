@@ -46,6 +46,7 @@ def plot_response(directory: str | os.PathLike, path: str | os.PathLike | None =
             _draw_reference(axes, read_reference(directory), factor)
         single = len(load) == 1
         axes.plot(displacement, load * factor, color=INK, lw=1.4, marker="." if single else None)
+        axes.ticklabel_format(axis="x", scilimits=(-3, 5))  # a strain is a small number
         axes.set_xlabel(label(names["displacement"], displacement_unit))
         axes.set_ylabel(label(names["load"], load_unit))
         axes.grid(color="#dddddd", lw=0.6)
