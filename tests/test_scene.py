@@ -10,7 +10,7 @@ import pytest
 from jaxmpm import scene_source
 from jaxmpm.scene import History, Scene, direction_cosines, load_scene, scene_names
 
-NAMES = ["bar", "beam", "brazil", "cantilever", "den", "den_4a", "discs", "opening"]
+NAMES = ["bar", "beam", "brazil", "cantilever", "den", "den_4a", "discs", "opening", "rve"]
 
 
 @pytest.fixture(scope="module")
