@@ -48,7 +48,7 @@ from jaxmpm.laws.search import search
 
 __all__ = [
     "FAILS", "JUMPS", "LOADS", "RESTS", "Response", "Solution",
-    "respond", "respond_with_tangent", "solve", "stress_at", "tolerance",
+    "respond", "respond_with_tangent", "slopes", "solve", "stress_at", "tolerance",
 ]  # fmt: skip
 
 NEWTON = 4  # steps of Newton before a point goes to the search
@@ -93,6 +93,14 @@ def respond_with_tangent(embedding, band, strain, precision=1e-11):
     (size, size, many).
     """
     found = solve(embedding, band, strain, precision)
+    return settled(embedding, band, strain, found), slopes(embedding, band, strain, found)[0]
+
+
+def slopes(embedding, band, strain, found):
+    """Consistent tangent dσ/dε (size, size), MPa, and dp/dε (size,) of the softening, at a `Solution`.
+
+    Of a band that rests dp/dε is zero; where the status is FAILS the tangent is not finite.
+    """
     size = len(strain)
 
     def residual(x):
@@ -103,16 +111,16 @@ def respond_with_tangent(embedding, band, strain, precision=1e-11):
     count = len(found.unknowns)
     laws, stress = matrix[:count], matrix[count:]
     parts = parts_of(laws[:, size:])
-    columns = []
+    columns, softening = [], []
     for k in range(size):
         change = by_unknowns(parts, laws[:-1, k], laws[-1, k], found.status, 0.0)
         by = stress[:, k]
         for j in range(count):
             by = by + stress[:, size + j] * change[j]
         columns.append(by)
+        softening.append(change[-1])
     failed = found.status == FAILS
-    tangent = jnp.where(failed, jnp.nan, jnp.stack(columns, axis=1))
-    return settled(embedding, band, strain, found), tangent
+    return jnp.where(failed, jnp.nan, jnp.stack(columns, axis=1)), jnp.stack(softening)
 
 
 def settled(embedding, band, strain, found):

@@ -1,0 +1,2 @@
+def cross(follower, until):
+    raise RuntimeError("bridge needed at %g" % follower.time)

@@ -1,0 +1,301 @@
+"""From one equilibrium to the next: attempts, what they cost in energy, and cells that crack in between.
+
+An attempt leaves no trace; `accept` takes an equilibrium over, with the histories of its bands and its work. What has
+been accepted last is where everything starts from again.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy import ndimage
+
+from jaxmpm import bands, bands_static, grid
+from jaxmpm import model as models
+from jaxmpm.bands_static import TOGETHER
+from jaxmpm.condensed import GRIP, Condensed
+from jaxmpm.full_system import Full
+from jaxmpm.newton import Control, Found, Newton
+from jaxmpm.stiffness import MEAN, MODES, Structure, loads_of
+
+OVERSHOOT = 0.02  # of the strength: by how much a cell may be beyond onset at the end of an increment
+NEIGHBOURS = 5  # cells each way in which one at most cracks at a time
+DENSE = 3.7  # cells that crack, over the root of the unknowns, up to which a dense system is quicker
+
+
+@dataclass
+class Point:
+    """An equilibrium that has been accepted."""
+
+    amplitude: np.ndarray  # of the loads (loads,)
+    displacement: np.ndarray  # (dofs,), mm
+    strain: np.ndarray  # mean strain of the cracked cells (3k,)
+    stress: np.ndarray  # (3k,), MPa
+    force: np.ndarray  # of the cells on the nodes (dofs,), N
+    ratio: np.ndarray  # r̂ of the intact cells (nx, ny)
+    spent: float = 0.0  # energy that the softening of the bands has taken, N·mm
+
+
+@dataclass
+class Move:
+    """How the last increment went, to extrapolate from."""
+
+    displacement: np.ndarray
+    ratio: np.ndarray
+    size: dict  # of the increment in each measure: "load", "dissipation", "gauge"
+    amplitude: np.ndarray
+
+
+@dataclass
+class Trial:
+    """An equilibrium that may be accepted."""
+
+    found: Found
+    displacement: np.ndarray
+    ratio: np.ndarray
+
+
+@dataclass
+class Pending:
+    """Cells that have cracked since the last equilibrium."""
+
+    place: np.ndarray  # among the cracked cells
+    modes: np.ndarray  # hourglass amplitudes then, mm, (k, 2)
+    fall: np.ndarray  # of the stress as the bands answer the overshoot (k, 3), MPa
+
+
+@dataclass
+class Counts:
+    """What it took."""
+
+    increments: int = 0
+    iterations: list = field(default_factory=list)  # of every increment that was accepted
+    attempts: int = 0
+    cut_backs: int = 0
+
+
+class Equilibria:
+    """A model, its last equilibrium, and the means to find the next."""
+
+    def __init__(self, model, state, tolerance, gauge=None):
+        self.model, self.state, self.tolerance, self.gauge = model, state, tolerance, gauge
+        self.prepared = jax.jit(models.fields)(model)
+        self.structure = Structure.of(model)
+        law, bulk = model.embedding.law, model.embedding.bulk
+        largest = [float(np.abs(load.value).max()) for load in loads_of(model)]
+        self.scale = np.array([*(a if a > 0 else 1.0 for a in largest), 1.0])  # what amplitudes are measured by
+        self.strength = float(np.min(law.ft)) if model.numerics.cracks else 1.0
+        self.stiffness = float(np.max(bulk.E))
+        self.energy_of_a_cell = self._energy_of_a_cell() if model.numerics.cracks else 1.0
+        self.counts, self.pending, self.last = Counts(), None, None
+        self.restart(state)
+
+    def _energy_of_a_cell(self):
+        """Energy (N·mm) that it takes to break the weakest cell."""
+        law, bulk = self.model.embedding.law, self.model.embedding.bulk
+        energy = np.asarray(law.given_up(jnp.full_like(law.h, 40.0), bulk))
+        return float(energy[energy > 0].min()) * self.structure.edge
+
+    def restart(self, state, amplitude=None):
+        """Begin from a state, which is taken for an equilibrium at amplitudes (loads,)."""
+        self.state = state
+        cells = np.asarray(state.pool.cell)[: int(state.pool.count)]
+        self.system = Condensed(self.structure, self.gauge)
+        if self._many(len(cells)):
+            self.system = Full(self.structure, cells, self.gauge)
+        elif len(cells):
+            self.system.add(cells)
+        displacement = np.asarray(state.displacement, float).reshape(-1)
+        strain = self.structure.rows(cells, MEAN) @ displacement
+        stress = np.asarray(state.pool.stress)[:, : len(cells)].T.reshape(-1)
+        amplitude = np.zeros(self.structure.force.shape[1]) if amplitude is None else amplitude
+        spent = float(np.sum(self.respond(strain).spent[: len(cells)])) if len(cells) else 0.0
+        force = self.structure.force_of(displacement, cells, stress, GRIP)
+        self.now = Point(amplitude, displacement, strain, stress, force, self._ratio(displacement), spent)
+        self.pending = self.last = None
+
+    def _many(self, cells):
+        return cells > DENSE * np.sqrt(self.structure.moves.shape[1])
+
+    # -- attempts --------------------------------------------------------------------------------
+
+    def respond(self, strain):
+        """`Answers` of all bands to the strains (3k,) of their cells."""
+        pool = self.state.pool
+        found = bands_static.answers(self.model, pool, bands_static.strains_of(pool, strain))
+        return jax.tree.map(np.asarray, found)
+
+    def _mean(self, displacement):
+        n = self.model.numerics
+        return grid.strain(displacement.reshape(self.model.free.shape), n.cell)
+
+    def _ratio(self, displacement):
+        if not self.model.numerics.cracks:
+            return np.zeros(self.model.material.shape)
+        return np.asarray(bands_static.ratios(self.model, self.prepared, self.state, self._mean(displacement)))
+
+    def attempt(self, direction, control: Control, tolerance=None) -> Trial | None:
+        """The equilibrium at the last amplitudes + factor · direction, `control` fixing the factor; None if there is none."""
+        now, system = self.now, self.system
+        self.counts.attempts += 1
+        if not len(system.cells):
+            amplitude = now.amplitude + control.target * direction
+            displacement = self.structure.response @ amplitude
+            found = Found(np.zeros(0), control.target, amplitude, np.zeros(0), converged=True, error=0.0)
+            return Trial(found, displacement, self._ratio(displacement))
+        ahead, factor = self._ahead(direction, control)
+        guess = system.unknowns(now.displacement + ahead, now.amplitude + factor * direction)
+        newton = Newton(system, self.respond, self.strength, self.stiffness, self.tolerance)
+        found = newton.solve(guess, now.amplitude, direction, control, factor, tolerance)
+        if not found.converged:
+            return None
+        displacement = system.displacement(found.unknowns, found.stress, found.amplitude)
+        return Trial(found, displacement, self._ratio(displacement))
+
+    def _ahead(self, direction, control):
+        """Where the last increment would lead: change of the displacement (dofs,) and load factor."""
+        last, kind = self.last, control.kind
+        if last is None:
+            return 0.0, control.target if kind == "load" else 0.0
+        size = self.size_of(direction, control)
+        known = last.size.get(kind, 0.0)
+        reach = size / known if known > 0 else FIRST
+        reach = min(reach, 2.0)
+        factor = control.target if kind == "load" else reach * _along(last.amplitude, direction)
+        return reach * last.displacement, factor
+
+    def size_of(self, direction, control):
+        """Size of an increment in the measure of its control."""
+        if control.kind == "load":
+            return float(np.abs(control.target * direction / self.scale).max())  # of any load
+        if control.kind == "dissipation":
+            return control.target - self.now.spent
+        return abs(control.target - self.reading)
+
+    @property
+    def reading(self):
+        """The gauge's reading, mm."""
+        return float(self.gauge @ self.now.displacement)
+
+    # -- what an attempt comes to ----------------------------------------------------------------
+
+    def share_to_onset(self, trial):
+        """Share of an increment after which the first cell is as far beyond onset as is aimed at; 1 if none is too far."""
+        before, after = self.now.ratio, np.where(self.now.ratio > 0, trial.ratio, 0.0)
+        far = after > 1 + OVERSHOOT
+        if not far.any():
+            return 1.0
+        aim = 1 + OVERSHOOT / 2
+        rise = np.maximum(after[far] - before[far], 1e-12)
+        return float(np.clip((aim - before[far]) / rise, 0.0, 1.0).min())
+
+    def reach_to_onset(self):
+        """Multiples of the last increment after which, going on like that, the first cell reaches onset."""
+        if self.last is None:
+            return np.inf
+        rate = np.where(self.now.ratio > 0, self.last.ratio, 0.0)
+        rising = rate > 1e-9
+        if not rising.any():
+            return np.inf
+        return float(np.maximum((1 + OVERSHOOT / 2 - self.now.ratio[rising]) / rate[rising], 0.0).min())
+
+    def accept(self, trial):
+        """Take an equilibrium over."""
+        now, found, structure = self.now, trial.found, self.structure
+        cells = self.system.cells
+        force = structure.force_of(trial.displacement, cells, found.stress, GRIP)
+        move = trial.displacement - now.displacement
+        given = structure.force @ ((now.amplitude + found.amplitude) / 2)
+        work = np.where(structure.free, given, (now.force + force) / 2) @ move
+        spent = float(found.answers.spent[: len(cells)].sum()) if len(cells) else 0.0
+        released = self._released(trial)
+        ledger = self.state.work
+        ledger = ledger._replace(external=ledger.external + work, released=ledger.released + released)
+        pool = self.state.pool
+        if len(cells):
+            pool = pool._replace(records=jnp.asarray(found.answers.rows), stress=jnp.asarray(found.answers.stress.T))
+        step = self.state.step + 1
+        field = jnp.asarray(trial.displacement.reshape(self.model.free.shape))
+        self.state = self.state._replace(step=step, displacement=field, pool=pool, work=ledger)
+        change = found.amplitude - now.amplitude
+        size = {"load": float(np.abs(change / self.scale).max()), "dissipation": spent - now.spent}
+        if self.gauge is not None:
+            size["gauge"] = abs(float(self.gauge @ move))
+        old = self.last
+        self.now = Point(found.amplitude, trial.displacement, found.strain, found.stress, force, trial.ratio, spent)
+        if np.abs(move).max() > 0 and (size["load"] > 0 or old is None):
+            self.last = Move(move, np.where(now.ratio > 0, trial.ratio - now.ratio, 0.0), size, change)
+        self.counts.increments += 1
+        self.counts.iterations.append(len(found.history) - 1 if found.history else 0)
+
+    def _released(self, trial):
+        """Energy (N·mm) let go of by the cells that have cracked on the way: of the hourglass, and of the overshoot."""
+        pending, self.pending = self.pending, None
+        if pending is None:
+            return 0.0
+        structure, cells = self.structure, self.system.cells[pending.place]
+        own = (structure.rows(cells) @ trial.displacement).reshape(-1, MODES)
+        before = self.now.strain.reshape(-1, MEAN)[pending.place]
+        modes = (1 - GRIP) * structure.hourglass[cells] / 2 * (pending.modes * own[:, MEAN:]).sum(1)
+        return modes.sum() + structure.volume / 2 * (pending.fall * (own[:, :MEAN] - before)).sum()
+
+    # -- cells that crack ------------------------------------------------------------------------
+
+    def open_critical(self) -> int:
+        """Give the most critical cells beyond onset a band, one in each neighbourhood; returns how many."""
+        ratio = self.now.ratio
+        chosen = (ratio >= 1) & (ratio == ndimage.maximum_filter(ratio, NEIGHBOURS, mode="constant"))
+        cells = np.flatnonzero(chosen)
+        if not len(cells):
+            return 0
+        cells = cells[np.argsort(-ratio.reshape(-1)[cells], kind="stable")][:TOGETHER]
+        self._make_room()
+        listed = np.pad(cells, (0, TOGETHER - len(cells)), mode="edge")
+        strain = self._mean(self.now.displacement)
+        new = np.arange(TOGETHER) < len(cells)
+        self.state = bands_static.opened(self.model, self.prepared, self.state, strain, listed, new)
+        self._extend(cells)
+        return len(cells)
+
+    def _make_room(self):
+        pool = self.state.pool
+        if int(pool.count) + TOGETHER > pool.cell.shape[0]:
+            spare = models.empty_pool(self.model, pool.cell.shape[0])
+            self.state = self.state._replace(pool=bands.joined(pool, spare))
+
+    def _extend(self, cells):
+        """Take new cells into the equations, and book what they let go of."""
+        structure, now, before = self.structure, self.now, len(self.system.cells)
+        if isinstance(self.system, Condensed) and self._many(before + len(cells)):
+            self.system = Full(structure, self.system.cells, self.gauge)
+        self.system.add(cells)
+        own = (structure.rows(cells) @ now.displacement).reshape(-1, MODES)
+        elastic = np.einsum("kij,kj->ki", structure.elastic[cells], own[:, :MEAN])
+        now.strain = np.concatenate([now.strain, own[:, :MEAN].reshape(-1)])
+        now.stress = np.concatenate([now.stress, elastic.reshape(-1)])
+        place = before + np.arange(len(cells))
+        found = self.respond(now.strain)
+        pool = self.state.pool._replace(records=jnp.asarray(found.rows))
+        held = np.asarray(bands_static.held_energy(self.model, pool, bands_static.strains_of(pool, now.strain)))[place]
+        lost = structure.volume / 2 * (elastic * own[:, :MEAN]).sum() - held.sum()
+        work = self.state.work
+        self.state = self.state._replace(work=work._replace(released=work.released + lost))
+        now.ratio = now.ratio.copy()
+        now.ratio.reshape(-1)[cells] = 0.0
+        modes, fall = own[:, MEAN:], elastic - found.stress[place]
+        if self.pending is None:
+            self.pending = Pending(place, modes, fall)
+        else:
+            old = self.pending
+            both = lambda name, new: np.concatenate([getattr(old, name), new])  # noqa: E731
+            self.pending = replace(old, place=both("place", place), modes=both("modes", modes), fall=both("fall", fall))
+
+
+FIRST = 0.02  # of the last increment that the next is thought to go, where its measure says nothing
+
+
+def _along(change, direction):
+    """How much of a direction a change of the amplitudes holds."""
+    square = direction @ direction
+    return float(change @ direction / square) if square > 0 else 0.0

@@ -1,0 +1,214 @@
+"""Which increment comes next: its control and size, cut back and grown, from peak to separation without supervision.
+
+The loads follow their histories as long as an equilibrium is found a little further on. Where none is, energy takes over as
+control: the path is followed by the energy that the bands dissipate, which grows whatever loads and displacements do,
+until the loads can go on. Where that fails too, the structure moves (`bridge.py`) to its next equilibrium.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from jaxmpm import bridge
+from jaxmpm.equilibria import Equilibria
+from jaxmpm.errors import RunError
+from jaxmpm.newton import Control
+from jaxmpm.stiffness import amplitudes, loads_of
+
+EASY, HARD = 4, 8  # iterations after which increments grow, and after which they shrink
+GROWTH, CUT = 2.0, 0.25
+ENERGY = (0.02, 1e-5, 0.5)  # first, smallest and largest energy of an increment, over that of breaking a cell
+STAY = 3  # increments at least under control of energy, once it has taken over
+BRIDGES = 400  # at most in a run
+
+
+@dataclass
+class Line:
+    """A segment of the histories on which the load factor is free: amplitudes start + factor · direction."""
+
+    start: np.ndarray
+    direction: np.ndarray
+    times: np.ndarray  # s, of a table
+    factors: np.ndarray  # of the load that changes most, increasing
+    factor: float = 0.0  # where the structure is
+    increments: int = 0
+
+    def time(self, factor):
+        """Time (s) at which the histories have come as far."""
+        return float(np.interp(factor, self.factors, self.times))
+
+    def factor_at(self, time):
+        """How far the histories have come at a time (s)."""
+        return float(np.interp(time, self.times, self.factors))
+
+
+@dataclass
+class Follower:
+    """Follows the equilibria of a model along its histories."""
+
+    equilibria: Equilibria
+    duration: float  # s
+    control: str  # "time", "dissipation" or the name of the gauge
+    first: float  # increment of time, s
+    smallest: float
+    largest: float
+    say: object  # function of a message
+    time: float = 0.0
+    size: dict = field(default_factory=dict)  # of the next increment in each measure
+    line: Line | None = None
+    bridges: list = field(default_factory=list)  # time (s), energy (N·mm) of each
+
+    def __post_init__(self):
+        energy = self.equilibria.energy_of_a_cell
+        self.size = {"load": self.first, "dissipation": ENERGY[0] * energy}
+        self.limits = {"load": (self.smallest, self.largest), "dissipation": (ENERGY[1] * energy, ENERGY[2] * energy)}
+
+    def begin(self):
+        """The equilibrium at the start of the histories."""
+        target = amplitudes(self.equilibria.model, 0.0)
+        if self._by_load(0.0, target) is None:
+            raise RunError("no equilibrium at t = 0: the loads that act there are more than the structure bears")
+
+    def increment(self, until):
+        """One increment towards a time (s); raises RunError where there is no way on."""
+        if self.line is None and self.control == "time":
+            if self._towards(until):
+                return
+            self._take_over()
+        elif self.line is None:
+            self._by_choice(until)
+            return
+        if not self._by_energy(until):
+            self._bridge(until)
+
+    # -- along the histories -------------------------------------------------------------------
+
+    def _towards(self, until):
+        """An increment of time; whether there is one."""
+        eq = self.equilibria
+        opened = eq.open_critical()
+        size = min(self.size["load"], until - self.time)
+        size = max(min(size, self._span * eq.reach_to_onset()), self.smallest)
+        size = until - self.time if size > 0.7 * (until - self.time) else size
+        while True:
+            size = min(size, until - self.time)
+            target = amplitudes(eq.model, self.time + size)
+            trial = self._try(target - eq.now.amplitude, Control("load", 1.0))
+            if trial is None:
+                if size == 0 or size <= self.smallest:
+                    return size > 0 and opened and self._at_rest()
+                size = max(CUT * size, self.smallest)
+                self.size["load"] = size
+                continue
+            share = eq.share_to_onset(trial)
+            if share < 1 and size > self.smallest:
+                size = max(share * size, self.smallest)
+                continue
+            self._accept(trial, "load", size)
+            self.time, self._span = self.time + size, size
+            return True
+
+    _span = np.inf  # time of the last increment, s
+
+    def _at_rest(self):
+        """Equilibrium of cells that have just cracked, under the same loads."""
+        eq = self.equilibria
+        trial = self._try(np.zeros_like(eq.now.amplitude), Control("load", 1.0))
+        if trial is None:
+            return False
+        self._accept(trial, "load", 0.0)
+        return True
+
+    def _by_load(self, time, target):
+        eq = self.equilibria
+        trial = eq.attempt(target - eq.now.amplitude, Control("load", 1.0))
+        if trial is not None:
+            eq.accept(trial)
+            self.time = time
+        return trial
+
+    def _try(self, direction, control):
+        trial = self.equilibria.attempt(direction, control)
+        if trial is None:
+            self.equilibria.counts.cut_backs += 1
+        return trial
+
+    def _accept(self, trial, kind, size):
+        self.equilibria.accept(trial)
+        iterations = self.equilibria.counts.iterations[-1]
+        small, large = self.limits[kind]
+        if iterations <= EASY and size >= 0.5 * self.size[kind]:
+            self.size[kind] = min(GROWTH * self.size[kind], large)
+        elif iterations > HARD:
+            self.size[kind] = max(0.5 * self.size[kind], small)
+
+    # -- by energy -----------------------------------------------------------------------------
+
+    def _take_over(self):
+        """Energy takes control of the segment of the histories that the structure is on."""
+        eq, model = self.equilibria, self.equilibria.model
+        knots = np.unique(np.concatenate([[self.duration], *(np.asarray(load.time) for load in loads_of(model))]))
+        knots = knots[knots <= self.duration]
+        ahead = knots[knots > self.time + 1e-9 * self.duration]
+        behind = knots[knots <= self.time + 1e-9 * self.duration]
+        end, begin = (ahead[0] if len(ahead) else knots[-1]), behind[-1]
+        start = eq.now.amplitude
+        direction = amplitudes(model, end) - start
+        times = np.linspace(begin, end, 401)
+        most = np.argmax(np.abs(direction / eq.scale))
+        along = np.array([load.amplitude(times) if False else [float(load.amplitude(t)) for t in times] for load in [loads_of(model)[most]]])[0]
+        factors = np.maximum.accumulate((along - start[most]) / direction[most])
+        self.line = Line(start, direction, times, factors)
+        self.size["dissipation"] = ENERGY[0] * eq.energy_of_a_cell
+
+    def _by_energy(self, until):
+        """An increment of dissipated energy; whether there is one."""
+        eq, line = self.equilibria, self.line
+        eq.open_critical()
+        small, _ = self.limits["dissipation"]
+        size = self.size["dissipation"]
+        last = eq.last.size["dissipation"] if eq.last else 0.0
+        if last > 0:
+            size = max(min(size, last * eq.reach_to_onset()), small)
+        most = line.factor_at(until) - line.factor
+        bound = self.largest / (line.times[-1] - line.times[0]) * (line.factors[-1] - line.factors[0])
+        while True:
+            trial = self._try(line.direction, Control("dissipation", eq.now.spent + size, size))
+            if trial is not None and trial.found.factor > most:
+                trial = self._try(line.direction, Control("load", most))
+            if trial is None or abs(trial.found.factor) > 4 * bound:
+                if size <= small:
+                    return False
+                size = max(CUT * size, small)
+                self.size["dissipation"] = size
+                continue
+            share = eq.share_to_onset(trial)
+            if share < 1 and size > small:
+                size = max(share * size, small)
+                continue
+            self._accept(trial, "dissipation", size)
+            self._moved_on(trial.found.factor)
+            return True
+
+    def _moved_on(self, change):
+        """Where on the line the structure has come to; back to the histories if they can go on."""
+        line = self.line
+        line.factor += change
+        line.increments += 1
+        self.time = max(line.time(line.factor), 0.0)
+        if self.control == "time" and line.factor > 0 and change > 0 and line.increments >= STAY:
+            self.line = None
+            self._span, self.size["load"] = np.inf, self.first
+
+    def _by_choice(self, until):
+        raise NotImplementedError
+
+    # -- where there is no way -----------------------------------------------------------------
+
+    def _bridge(self, until):
+        if len(self.bridges) >= BRIDGES:
+            raise RunError(f"no equilibrium after t = {self.time:.6g} s, and {BRIDGES} dynamic bridges so far: something is wrong")
+        energy, time = bridge.cross(self, until)
+        self.bridges.append((self.time, energy))
+        self.time, self.line = time, None
+        self._span, self.size["load"] = np.inf, self.first

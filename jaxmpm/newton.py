@@ -1,0 +1,116 @@
+"""Newton–Raphson with the consistent tangents of the bands, a line search, and one quantity under control.
+
+Written for either system of equations, `condensed.Condensed` or `full_system.Full`.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from jaxmpm.laws.balance import FAILS
+
+MOST = 14  # iterations
+BACK = (1.0, 0.5, 0.25, 0.1)  # shares of a step that the line search tries
+PATIENCE = 4  # iterations without a better residual after which it is given up
+
+
+@dataclass
+class Control:
+    """What fixes the load factor: a reading that is to reach a target."""
+
+    kind: str  # "load", "dissipation" or "gauge"
+    target: float = 0.0  # the load factor, N·mm or mm
+    scale: float = 1.0  # an error in the target of this size counts as one of 1 in the residual
+
+
+@dataclass
+class Found:
+    """An equilibrium, or the attempt at one."""
+
+    unknowns: np.ndarray
+    factor: float  # load factor: amplitudes are start + factor · direction
+    amplitude: np.ndarray  # (loads,)
+    strain: np.ndarray  # of the cracked cells (3k,)
+    answers: object = None  # of the bands there
+    stress: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (3k,), MPa
+    residual: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    short: float = 0.0  # what is controlled still lacks
+    error: float = np.inf  # residual and shortage, relative
+    history: list = field(default_factory=list)  # error of every iteration
+    converged: bool = False
+
+
+class Newton:
+    """Solves one set of equations after the other."""
+
+    def __init__(self, system, respond, strength, stiffness, tolerance):
+        """`respond(strain (3k,))` gives the bands' `Answers` as NumPy arrays."""
+        self.system, self.respond = system, respond
+        self.strength, self.stiffness, self.tolerance = strength, stiffness, tolerance
+
+    def solve(self, unknowns, start, direction, control, factor=0.0, tolerance=None) -> Found:
+        """Equilibrium near `unknowns` where amplitudes are start + factor · direction and control has its target.
+
+        Does not raise: `Found.converged` says whether it is one.
+        """
+        tolerance = tolerance or self.tolerance
+        if control.kind == "load":
+            factor = control.target
+        now = self._at(unknowns, factor, start, direction, control)
+        history, best, since = [now.error], now.error, 0
+        while np.isfinite(now.error) and len(history) <= MOST:
+            if now.error <= tolerance and len(history) > 1:
+                now.converged = True
+                break
+            change = self._change(now, direction, control)
+            if not np.isfinite(change[0]).all() or not np.isfinite(change[1]):
+                break
+            now = self._along(now, change, start, direction, control)
+            history.append(now.error)
+            best, since = (now.error, 0) if now.error < 0.7 * best else (best, since + 1)
+            if since >= PATIENCE:
+                break
+        now.history = history
+        return now
+
+    def _change(self, now, direction, control):
+        """Newton's step from here."""
+        system, count = self.system, len(self.system.cells)
+        tangent = now.answers.tangent[:count]
+        if control.kind == "load":
+            return system.step(tangent, now.residual)
+        if control.kind == "dissipation":
+            slopes = system.slopes(now.answers.spends[:count].reshape(-1), direction)
+        else:
+            slopes = system.reading_slopes(tangent, direction)
+        return system.step(tangent, now.residual, direction, slopes, now.short)
+
+    def _along(self, now, change, start, direction, control):
+        """The first of ever shorter steps with a smaller error, or the best of them."""
+        best = None
+        for share in BACK:
+            tried = self._at(now.unknowns + share * change[0], now.factor + share * change[1], start, direction, control)
+            if best is None or tried.error < best.error or not np.isfinite(best.error):
+                best = tried
+            if tried.error < now.error:
+                break
+        return best
+
+    def _at(self, unknowns, factor, start, direction, control):
+        """Everything at a trial."""
+        system = self.system
+        amplitude = start + factor * direction
+        strain = system.strain(unknowns, amplitude)
+        answers, count = self.respond(strain), len(system.cells)
+        stress = answers.stress[:count].reshape(-1)
+        residual = system.residual(unknowns, stress, amplitude)
+        error = system.size(residual, self.strength, self.stiffness)
+        short = 0.0
+        if control.kind == "dissipation":
+            short = control.target - answers.spent[:count].sum()
+        elif control.kind == "gauge":
+            short = control.target - system.reading(unknowns, stress, amplitude)
+        error = max(error, abs(short) / control.scale)
+        if (answers.status[:count] == FAILS).any() or not np.isfinite(stress).all():
+            error = np.inf
+        return Found(unknowns, factor, amplitude, strain, answers, stress, residual, short, error)
