@@ -37,8 +37,9 @@ def answers(model, pool, strain) -> Answers:
     """Answers of the bands in use to in-plane strains (capacity, 3) of their cells."""
     n, capacity = model.numerics, pool.cell.shape[0]
     material = model.material.reshape(-1)
-    blank = jax.eval_shape(lambda: _block(model, pool.records[:LANES], material[pool.cell[:LANES]], strain[:LANES].T, n))
-    empty = jax.tree.map(lambda a: jnp.zeros((capacity, *a.shape[1:]), a.dtype), blank)
+    table = jnp.zeros((capacity, 3), strain.dtype)
+    none = jnp.zeros((capacity,), jnp.int32)
+    empty = Answers(pool.records, table, jnp.zeros((capacity, 3, 3), strain.dtype), table[:, 0], table, none)
 
     def block(k, found):
         start = k * LANES
@@ -49,7 +50,7 @@ def answers(model, pool, strain) -> Answers:
         put = lambda all, part: lax.dynamic_update_slice_in_dim(all, part, start, 0)  # noqa: E731
         return jax.tree.map(put, found, own)
 
-    return lax.fori_loop(0, (pool.count + LANES - 1) // LANES, block, Answers(*empty))
+    return lax.fori_loop(0, (pool.count + LANES - 1) // LANES, block, empty)
 
 
 def _block(model, rows, material, strain, n):

@@ -4,14 +4,16 @@ An attempt leaves no trace; `accept` takes an equilibrium over, with the histori
 been accepted last is where everything starts from again.
 """
 
+import time as clock
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy import ndimage
 
-from jaxmpm import bands, bands_static, grid
+from jaxmpm import bands, bands_static, compilation, grid
 from jaxmpm import model as models
 from jaxmpm.bands_static import TOGETHER
 from jaxmpm.condensed import GRIP, Condensed
@@ -21,6 +23,7 @@ from jaxmpm.stiffness import MEAN, MODES, Structure, loads_of
 
 OVERSHOOT = 0.02  # of the strength: by how much a cell may be beyond onset at the end of an increment
 NEIGHBOURS = 5  # cells each way in which one at most cracks at a time
+BROKEN = 40.0  # softening p of a band that is as good as broken
 DENSE = 3.7  # cells that crack, over the root of the unknowns, up to which a dense system is quicker
 
 
@@ -87,14 +90,15 @@ class Equilibria:
         self.scale = np.array([*(a if a > 0 else 1.0 for a in largest), 1.0])  # what amplitudes are measured by
         self.strength = float(np.min(law.ft)) if model.numerics.cracks else 1.0
         self.stiffness = float(np.max(bulk.E))
-        self.energy_of_a_cell = self._energy_of_a_cell() if model.numerics.cracks else 1.0
         self.counts, self.pending, self.last = Counts(), None, None
+        self.compile_seconds, self._compiled = 0.0, {}
         self.restart(state)
 
-    def _energy_of_a_cell(self):
+    @cached_property
+    def energy_of_a_cell(self):
         """Energy (N·mm) that it takes to break the weakest cell."""
         law, bulk = self.model.embedding.law, self.model.embedding.bulk
-        energy = np.asarray(law.given_up(jnp.full_like(law.h, 40.0), bulk))
+        energy = np.asarray(jax.jit(lambda: law.given_up(jnp.full_like(law.h, BROKEN), bulk))())
         return float(energy[energy > 0].min()) * self.structure.edge
 
     def restart(self, state, amplitude=None):
@@ -115,6 +119,15 @@ class Equilibria:
         self.now = Point(amplitude, displacement, strain, stress, force, self._ratio(displacement), spent)
         self.pending = self.last = None
 
+    def _call(self, function, *args):
+        """A jitted function of bands_static, compiled once for each capacity."""
+        key = function, self.state.pool.cell.shape[0]
+        if key not in self._compiled:
+            began = clock.perf_counter()
+            self._compiled[key] = compilation.compiled(function.lower(self.model, *args))
+            self.compile_seconds += clock.perf_counter() - began
+        return self._compiled[key](self.model, *args)
+
     def _many(self, cells):
         return cells > DENSE * np.sqrt(self.structure.moves.shape[1])
 
@@ -123,7 +136,7 @@ class Equilibria:
     def respond(self, strain):
         """`Answers` of all bands to the strains (3k,) of their cells."""
         pool = self.state.pool
-        found = bands_static.answers(self.model, pool, bands_static.strains_of(pool, strain))
+        found = self._call(bands_static.answers, pool, bands_static.strains_of(pool, strain))
         return jax.tree.map(np.asarray, found)
 
     def _mean(self, displacement):
@@ -133,7 +146,7 @@ class Equilibria:
     def _ratio(self, displacement):
         if not self.model.numerics.cracks:
             return np.zeros(self.model.material.shape)
-        return np.asarray(bands_static.ratios(self.model, self.prepared, self.state, self._mean(displacement)))
+        return np.asarray(self._call(bands_static.ratios, self.prepared, self.state, self._mean(displacement)))
 
     def attempt(self, direction, control: Control, tolerance=None) -> Trial | None:
         """The equilibrium at the last amplitudes + factor · direction, `control` fixing the factor; None if there is none."""
@@ -254,7 +267,7 @@ class Equilibria:
         listed = np.pad(cells, (0, TOGETHER - len(cells)), mode="edge")
         strain = self._mean(self.now.displacement)
         new = np.arange(TOGETHER) < len(cells)
-        self.state = bands_static.opened(self.model, self.prepared, self.state, strain, listed, new)
+        self.state = self._call(bands_static.opened, self.prepared, self.state, strain, listed, new)
         self._extend(cells)
         return len(cells)
 
@@ -277,7 +290,7 @@ class Equilibria:
         place = before + np.arange(len(cells))
         found = self.respond(now.strain)
         pool = self.state.pool._replace(records=jnp.asarray(found.rows))
-        held = np.asarray(bands_static.held_energy(self.model, pool, bands_static.strains_of(pool, now.strain)))[place]
+        held = np.asarray(self._call(bands_static.held_energy, pool, bands_static.strains_of(pool, now.strain)))[place]
         lost = structure.volume / 2 * (elastic * own[:, :MEAN]).sum() - held.sum()
         work = self.state.work
         self.state = self.state._replace(work=work._replace(released=work.released + lost))

@@ -7,6 +7,7 @@ until the loads can go on. Where that fails too, the structure moves (`bridge.py
 
 from dataclasses import dataclass, field
 
+import jax
 import numpy as np
 
 from jaxmpm import bridge
@@ -59,9 +60,8 @@ class Follower:
     bridges: list = field(default_factory=list)  # time (s), energy (N·mm) of each
 
     def __post_init__(self):
-        energy = self.equilibria.energy_of_a_cell
-        self.size = {"load": self.first, "dissipation": ENERGY[0] * energy}
-        self.limits = {"load": (self.smallest, self.largest), "dissipation": (ENERGY[1] * energy, ENERGY[2] * energy)}
+        self.size = {"load": self.first}
+        self.limits = {"load": (self.smallest, self.largest)}
 
     def begin(self):
         """The equilibrium at the start of the histories."""
@@ -156,10 +156,11 @@ class Follower:
         direction = amplitudes(model, end) - start
         times = np.linspace(begin, end, 401)
         most = np.argmax(np.abs(direction / eq.scale))
-        along = np.array([load.amplitude(times) if False else [float(load.amplitude(t)) for t in times] for load in [loads_of(model)[most]]])[0]
+        along = np.asarray(jax.vmap(loads_of(model)[most].amplitude)(times))
         factors = np.maximum.accumulate((along - start[most]) / direction[most])
         self.line = Line(start, direction, times, factors)
-        self.size["dissipation"] = ENERGY[0] * eq.energy_of_a_cell
+        first, *limits = (share * eq.energy_of_a_cell for share in ENERGY)
+        self.size["dissipation"], self.limits["dissipation"] = first, limits
 
     def _by_energy(self, until):
         """An increment of dissipated energy; whether there is one."""
