@@ -15,6 +15,7 @@ import scipy.linalg as dense
 
 from jaxmpm.stiffness import MEAN, MODES, Structure
 
+INVERSE = 6  # steps of inverse iteration for the softest mode
 GRIP = 1e-6  # share of its hourglass stiffness that a cracked cell keeps, so that nothing flutters
 
 
@@ -24,6 +25,7 @@ class Condensed:
     def __init__(self, structure: Structure, gauge=None):
         """A gauge is a vector of weights (dofs,) of the displacement; its reading can be asked for."""
         self.structure, self.cells = structure, np.zeros(0, int)
+        self.stable = None  # whether the structure was at the last step, under the loads as they were
         self.gauge = gauge if gauge is not None else np.zeros(structure.strain.shape[1])
         # the gauge comes first among the rows, then five for each cell
         self.flexibility = np.zeros((1, 1))
@@ -110,18 +112,33 @@ class Condensed:
             slopes: how what is controlled changes with strain (3k,) and load factor.
             short: what is controlled still lacks.
         """
-        softer = self.structure.volume * tangent - self.weighted
-        matrix = np.einsum("akj,kji->aki", self.inner.reshape(len(self.inner), -1, MEAN), softer)
-        matrix = matrix.reshape(self.inner.shape)
-        matrix[np.diag_indices(len(matrix))] += 1.0
+        matrix = self._matrix(tangent)
         if direction is None:
-            return _solved(matrix, -residual), 0.0
+            change, self.stable = _solved(matrix, -residual)
+            return change, 0.0
         row, own = slopes
         scale = np.abs(row).max(initial=abs(own)) or 1.0  # of the last row: pivots are chosen by size
         column = -self.by_loads[self.mean] @ direction
         matrix = np.block([[matrix, column[:, None]], [row[None] / scale, np.array([[own / scale]])]])
-        change = _solved(matrix, np.append(-residual, short / scale))
+        change, _ = _solved(matrix, np.append(-residual, short / scale))
+        self.stable = None  # of the structure under its loads nothing is said
         return change[:-1], change[-1]
+
+    def _matrix(self, tangent):
+        """1 + G (w D − w C), (3k, 3k); its determinant is that of the tangent stiffness over the elastic one."""
+        softer = self.structure.volume * tangent - self.weighted
+        blocks = np.matmul(self.inner.reshape(len(self.inner), -1, 1, MEAN), softer)
+        matrix = blocks.reshape(self.inner.shape)
+        matrix[np.diag_indices(len(matrix))] += 1.0
+        return matrix
+
+    def softest(self, tangent):
+        """The change of the unknowns (3k,) against which the structure is softest, and whether it is stable."""
+        factors, stable = _factors(self._matrix(tangent))
+        mode = np.ones(len(self.inner))
+        for _ in range(INVERSE):
+            mode = dense.lu_solve(factors, mode / np.abs(mode).max(), check_finite=False)
+        return mode / np.abs(mode).max(), stable
 
     def displacement(self, unknowns, stress, amplitude):
         """Displacement (dofs,) of the whole structure."""
@@ -138,8 +155,20 @@ class Condensed:
 
 
 def _solved(matrix, right):
-    """Solution of a dense system; not finite where there is none."""
-    try:
-        return dense.lu_solve(dense.lu_factor(matrix, overwrite_a=True, check_finite=False), right, check_finite=False)
-    except (ValueError, np.linalg.LinAlgError):
-        return np.full_like(right, np.nan)
+    """Solution of a dense system, not finite where there is none, and whether the determinant is positive."""
+    factors, positive = _factors(matrix)
+    if factors is None:
+        return np.full_like(right, np.nan), positive
+    return dense.lu_solve(factors, right, check_finite=False), positive
+
+
+def _factors(matrix):
+    """LU factors, and whether the determinant is positive."""
+    if not np.isfinite(matrix).all():
+        return None, False
+    factors = dense.lu_factor(matrix, overwrite_a=True, check_finite=False)
+    swaps = np.count_nonzero(factors[1] != np.arange(len(matrix)))
+    diagonal = factors[0].diagonal()
+    if (diagonal == 0).any():
+        return None, False
+    return factors, bool((swaps + np.count_nonzero(diagonal < 0)) % 2 == 0)

@@ -23,6 +23,7 @@ from jaxmpm.stiffness import MEAN, MODES, Structure, loads_of
 
 OVERSHOOT = 0.02  # of the strength: by how much a cell may be beyond onset at the end of an increment
 NEIGHBOURS = 5  # cells each way in which one at most cracks at a time
+SIDEWAYS = (0.05, -0.05, 0.3, -0.3, 2.0, -2.0)  # steps along the softest mode, over the strain at onset
 BROKEN = 40.0  # softening p of a band that is as good as broken
 DENSE = 3.7  # cells that crack, over the root of the unknowns, up to which a dense system is quicker
 
@@ -148,7 +149,7 @@ class Equilibria:
             return np.zeros(self.model.material.shape)
         return np.asarray(self._call(bands_static.ratios, self.prepared, self.state, self._mean(displacement)))
 
-    def attempt(self, direction, control: Control, tolerance=None) -> Trial | None:
+    def attempt(self, direction, control: Control, push=None) -> Trial | None:
         """The equilibrium at the last amplitudes + factor · direction, `control` fixing the factor; None if there is none."""
         now, system = self.now, self.system
         self.counts.attempts += 1
@@ -160,11 +161,30 @@ class Equilibria:
         ahead, factor = self._ahead(direction, control)
         guess = system.unknowns(now.displacement + ahead, now.amplitude + factor * direction)
         newton = Newton(system, self.respond, self.strength, self.stiffness, self.tolerance)
-        found = newton.solve(guess, now.amplitude, direction, control, factor, tolerance)
+        found = newton.solve(guess, now.amplitude, direction, control, factor, push)
         if not found.converged:
             return None
         displacement = system.displacement(found.unknowns, found.stress, found.amplitude)
         return Trial(found, displacement, self._ratio(displacement))
+
+    def switched(self, trial) -> Trial | None:
+        """A stable equilibrium beside one that is not, at the same loads; None if none is found.
+
+        Where two cracks might go on and only one can, both going on is an equilibrium, but not one that lasts: it is
+        left along its softest mode, either way.
+        """
+        system, found = self.system, trial.found
+        mode, _ = system.softest(found.answers.tangent[: len(system.cells)])
+        strained = system.strain(mode, 0 * found.amplitude)
+        unit = mode * self.strength / self.stiffness / np.abs(strained).max()
+        newton = Newton(system, self.respond, self.strength, self.stiffness, self.tolerance)
+        none = np.zeros_like(found.amplitude)
+        for far in SIDEWAYS:
+            other = newton.solve(found.unknowns + far * unit, found.amplitude, none, Control("load", 0.0))
+            if other.converged and other.stable:
+                displacement = system.displacement(other.unknowns, other.stress, other.amplitude)
+                return Trial(other, displacement, self._ratio(displacement))
+        return None
 
     def _ahead(self, direction, control):
         """Where the last increment would lead: change of the displacement (dofs,) and load factor."""

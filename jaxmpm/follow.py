@@ -57,6 +57,7 @@ class Follower:
     time: float = 0.0
     size: dict = field(default_factory=dict)  # of the next increment in each measure
     line: Line | None = None
+    switches: list = field(default_factory=list)  # time (s) at which an equilibrium was unstable, whether one beside it was not
     bridges: list = field(default_factory=list)  # time (s), energy (N·mm) of each
 
     def __post_init__(self):
@@ -93,7 +94,7 @@ class Follower:
         while True:
             size = min(size, until - self.time)
             target = amplitudes(eq.model, self.time + size)
-            trial = self._try(target - eq.now.amplitude, Control("load", 1.0))
+            trial = self._stable(self._try(target - eq.now.amplitude, Control("load", 1.0)))
             if trial is None:
                 if size == 0 or size <= self.smallest:
                     return size > 0 and opened and self._at_rest()
@@ -108,12 +109,20 @@ class Follower:
             self.time, self._span = self.time + size, size
             return True
 
+    def _stable(self, trial):
+        """The trial where it is stable, else a stable one beside it; None where there is none."""
+        if trial is None or trial.found.stable:
+            return trial
+        other = self.equilibria.switched(trial)
+        self.switches.append((self.time, other is not None))
+        return other
+
     _span = np.inf  # time of the last increment, s
 
     def _at_rest(self):
         """Equilibrium of cells that have just cracked, under the same loads."""
         eq = self.equilibria
-        trial = self._try(np.zeros_like(eq.now.amplitude), Control("load", 1.0))
+        trial = self._stable(self._try(np.zeros_like(eq.now.amplitude), Control("load", 1.0)))
         if trial is None:
             return False
         self._accept(trial, "load", 0.0)

@@ -4,8 +4,10 @@ The same equations as in `condensed.py`, with the same methods; unknowns are tho
 """
 
 import numpy as np
+import scipy.sparse as sparse
+from scipy.sparse.csgraph import connected_components
 
-from jaxmpm.condensed import GRIP
+from jaxmpm.condensed import GRIP, INVERSE
 from jaxmpm.stiffness import MEAN, Structure, block_diagonal, factorised
 
 
@@ -15,6 +17,7 @@ class Full:
     def __init__(self, structure: Structure, cells=(), gauge=None):
         """Cracked cells are flat indices, a gauge a vector of weights (dofs,) of the displacement."""
         self.structure, self.cells = structure, np.zeros(0, int)
+        self.stable = None  # whether the structure was at the last step, under the loads as they were
         self.gauge = gauge if gauge is not None else np.zeros(structure.strain.shape[1])
         self.add(cells)
 
@@ -72,21 +75,43 @@ class Full:
         """Newton's change of the unknowns (m,) and of the load factor; arguments as in `Condensed.step`."""
         structure, volume = self.structure, self.structure.volume
         blocks = block_diagonal(volume * tangent)
-        matrix = self.reduced + self.across @ (blocks @ self.by_unknowns)
+        self.stable = None
         try:
+            factors = factorised(self.reduced + self.across @ (blocks @ self.by_unknowns))
             if direction is None:
-                return factorised(matrix).solve(-residual), 0.0
+                self.stable = positive(factors)
+                return factors.solve(-residual), 0.0
             prescribed = structure.prescribed @ direction
             column = structure.moves.T @ (self.elastic @ prescribed - structure.force @ direction)
             column += volume * (self.across @ (blocks @ (self.by_prescribed @ direction)))
             row, own = slopes
-            solve = factorised(matrix).solve
-            there, along = solve(np.stack([-residual, -column], axis=1)).T
+            there, along = factors.solve(np.stack([-residual, -column], axis=1)).T
             factor = (short - row @ there) / (own + row @ along)
             return there + factor * along, factor
         except RuntimeError:  # singular
             return np.full_like(residual, np.nan), np.nan
 
+    def softest(self, tangent):
+        """The change of the unknowns (m,) against which the structure is softest, and whether it is stable."""
+        blocks = block_diagonal(self.structure.volume * tangent)
+        factors = factorised(self.reduced + self.across @ (blocks @ self.by_unknowns))
+        mode = self.across @ np.ones(self.across.shape[1])
+        for _ in range(INVERSE):
+            mode = factors.solve(mode / np.abs(mode).max())
+        return mode / np.abs(self.by_unknowns @ mode).max(), positive(factors)
+
     def displacement(self, unknowns, stress, amplitude):
         """Displacement (dofs,) of the whole structure."""
         return self._whole(unknowns, amplitude)
+
+
+def positive(factors):
+    """Whether the determinant of a sparse matrix is positive, from its LU factors."""
+    negative = np.count_nonzero(factors.U.diagonal() < 0)
+    return bool((negative + sum(_odd(order) for order in (factors.perm_r, factors.perm_c))) % 2 == 0)
+
+
+def _odd(order):
+    """1 where a permutation is odd, else 0."""
+    count, labels = connected_components(sparse.csr_matrix((np.ones(len(order)), (np.arange(len(order)), order))))
+    return (len(order) - count) % 2

@@ -21,6 +21,15 @@ class Control:
     kind: str  # "load", "dissipation" or "gauge"
     target: float = 0.0  # the load factor, N·mm or mm
     scale: float = 1.0  # an error in the target of this size counts as one of 1 in the residual
+    only: int | None = None  # the one band whose dissipation is meant, else that of all
+
+    def among(self, each):
+        """`each` (k, …) of the bands where it is meant, zero elsewhere."""
+        if self.only is None:
+            return each
+        meant = np.zeros_like(each)
+        meant[self.only] = each[self.only]
+        return meant
 
 
 @dataclass
@@ -38,6 +47,7 @@ class Found:
     error: float = np.inf  # residual and shortage, relative
     history: list = field(default_factory=list)  # error of every iteration
     converged: bool = False
+    stable: bool = True  # under its loads: the structure would come back if it were disturbed
 
 
 class Newton:
@@ -48,18 +58,21 @@ class Newton:
         self.system, self.respond = system, respond
         self.strength, self.stiffness, self.tolerance = strength, stiffness, tolerance
 
-    def solve(self, unknowns, start, direction, control, factor=0.0, tolerance=None) -> Found:
+    def solve(self, unknowns, start, direction, control, factor=0.0, push=None) -> Found:
         """Equilibrium near `unknowns` where amplitudes are start + factor · direction and control has its target.
 
-        Does not raise: `Found.converged` says whether it is one.
+        The first step takes the bands' tangents as if their strains were larger by `push` (3k,): it decides which of
+        them are thought to load. Does not raise: `Found.converged` says whether it is an equilibrium.
         """
-        tolerance = tolerance or self.tolerance
         if control.kind == "load":
             factor = control.target
         now = self._at(unknowns, factor, start, direction, control)
         history, best, since = [now.error], now.error, 0
+        if push is not None:
+            pushed = self.respond(now.strain + push)
+            now.answers = now.answers._replace(tangent=pushed.tangent, spends=pushed.spends)
         while np.isfinite(now.error) and len(history) <= MOST:
-            if now.error <= tolerance and len(history) > 1:
+            if now.error <= self.tolerance and len(history) > 1:
                 now.converged = True
                 break
             change = self._change(now, direction, control)
@@ -71,6 +84,9 @@ class Newton:
             if since >= PATIENCE:
                 break
         now.history = history
+        if now.converged and control.kind == "load" and self.system.stable is False:
+            # said of the last iteration but one: look again
+            now.stable = self.system.softest(now.answers.tangent[: len(self.system.cells)])[1]
         return now
 
     def _change(self, now, direction, control):
@@ -80,7 +96,7 @@ class Newton:
         if control.kind == "load":
             return system.step(tangent, now.residual)
         if control.kind == "dissipation":
-            slopes = system.slopes(now.answers.spends[:count].reshape(-1), direction)
+            slopes = system.slopes(control.among(now.answers.spends[:count]).reshape(-1), direction)
         else:
             slopes = system.reading_slopes(tangent, direction)
         return system.step(tangent, now.residual, direction, slopes, now.short)
@@ -107,7 +123,7 @@ class Newton:
         error = system.size(residual, self.strength, self.stiffness)
         short = 0.0
         if control.kind == "dissipation":
-            short = control.target - answers.spent[:count].sum()
+            short = control.target - control.among(answers.spent[:count]).sum()
         elif control.kind == "gauge":
             short = control.target - system.reading(unknowns, stress, amplitude)
         error = max(error, abs(short) / control.scale)
