@@ -38,7 +38,7 @@ class Point:
     stress: np.ndarray  # (3k,), MPa
     force: np.ndarray  # of the cells on the nodes (dofs,), N
     ratio: np.ndarray  # r̂ of the intact cells (nx, ny)
-    spent: float = 0.0  # energy that the softening of the bands has taken, N·mm
+    spent: np.ndarray  # energy that the softening of each band has taken, N·mm, (k,)
 
 
 @dataclass
@@ -47,8 +47,16 @@ class Move:
 
     displacement: np.ndarray
     ratio: np.ndarray
-    size: dict  # of the increment in each measure: "load", "dissipation", "gauge"
-    amplitude: np.ndarray
+    amplitude: np.ndarray  # their change
+    load: float  # size of the increment by the loads,
+    gauge: float  # by the gauge's reading, mm,
+    spent: np.ndarray  # and by the energy that each band has spent, N·mm, (k,)
+
+    def size(self, control):
+        """Size of the increment in the measure of a control."""
+        if control.kind == "dissipation":
+            return self.spent[control.only] if control.only is not None else self.spent.sum()
+        return self.load if control.kind == "load" else self.gauge
 
 
 @dataclass
@@ -93,6 +101,7 @@ class Equilibria:
         self.stiffness = float(np.max(bulk.E))
         self.counts, self.pending, self.last = Counts(), None, None
         self.compile_seconds, self._compiled = 0.0, {}
+        self.failed = None  # the last attempt that came to nothing
         self.restart(state)
 
     @cached_property
@@ -115,7 +124,7 @@ class Equilibria:
         strain = self.structure.rows(cells, MEAN) @ displacement
         stress = np.asarray(state.pool.stress)[:, : len(cells)].T.reshape(-1)
         amplitude = np.zeros(self.structure.force.shape[1]) if amplitude is None else amplitude
-        spent = float(np.sum(self.respond(strain).spent[: len(cells)])) if len(cells) else 0.0
+        spent = self.respond(strain).spent[: len(cells)] if len(cells) else np.zeros(0)
         force = self.structure.force_of(displacement, cells, stress, GRIP)
         self.now = Point(amplitude, displacement, strain, stress, force, self._ratio(displacement), spent)
         self.pending = self.last = None
@@ -149,7 +158,7 @@ class Equilibria:
             return np.zeros(self.model.material.shape)
         return np.asarray(self._call(bands_static.ratios, self.prepared, self.state, self._mean(displacement)))
 
-    def attempt(self, direction, control: Control, push=None) -> Trial | None:
+    def attempt(self, direction, control: Control) -> Trial | None:
         """The equilibrium at the last amplitudes + factor · direction, `control` fixing the factor; None if there is none."""
         now, system = self.now, self.system
         self.counts.attempts += 1
@@ -158,11 +167,12 @@ class Equilibria:
             displacement = self.structure.response @ amplitude
             found = Found(np.zeros(0), control.target, amplitude, np.zeros(0), converged=True, error=0.0)
             return Trial(found, displacement, self._ratio(displacement))
-        ahead, factor = self._ahead(direction, control)
+        ahead, factor, push = self._ahead(direction, control)
         guess = system.unknowns(now.displacement + ahead, now.amplitude + factor * direction)
         newton = Newton(system, self.respond, self.strength, self.stiffness, self.tolerance)
         found = newton.solve(guess, now.amplitude, direction, control, factor, push)
         if not found.converged:
+            self.failed = found
             return None
         displacement = system.displacement(found.unknowns, found.stress, found.amplitude)
         return Trial(found, displacement, self._ratio(displacement))
@@ -187,24 +197,35 @@ class Equilibria:
         return None
 
     def _ahead(self, direction, control):
-        """Where the last increment would lead: change of the displacement (dofs,) and load factor."""
-        last, kind = self.last, control.kind
+        """Where the last increment would lead: change of the displacement (dofs,), load factor, push of the strains."""
+        last = self.last
         if last is None:
-            return 0.0, control.target if kind == "load" else 0.0
-        size = self.size_of(direction, control)
-        known = last.size.get(kind, 0.0)
-        reach = size / known if known > 0 else FIRST
-        reach = min(reach, 2.0)
-        factor = control.target if kind == "load" else reach * _along(last.amplitude, direction)
-        return reach * last.displacement, factor
+            return 0.0, control.target if control.kind == "load" else 0.0, None
+        known = last.size(control)
+        if control.only is not None and not known > 0:
+            return 0.0, 0.0, self._push(control.only)
+        reach = min(self.size_of(direction, control) / known if known > 0 else FIRST, MOST_AHEAD)
+        factor = control.target if control.kind == "load" else reach * _along(last.amplitude, direction)
+        return reach * last.displacement, factor, None
+
+    def _push(self, place):
+        """A small further strain (3k,) of one band, the way that its cell strained last."""
+        push = np.zeros((len(self.system.cells), MEAN))
+        way = self.structure.rows(self.system.cells[[place]], MEAN) @ self.last.displacement
+        push[place] = PUSH * self.strength / self.stiffness * way / max(np.abs(way).max(), 1e-300)
+        return push.reshape(-1)
 
     def size_of(self, direction, control):
         """Size of an increment in the measure of its control."""
         if control.kind == "load":
             return float(np.abs(control.target * direction / self.scale).max())  # of any load
         if control.kind == "dissipation":
-            return control.target - self.now.spent
+            return control.target - self.spent(control.only)
         return abs(control.target - self.reading)
+
+    def spent(self, only=None):
+        """Energy (N·mm) that the softening of all bands has taken, or of one."""
+        return float(self.now.spent.sum() if only is None else self.now.spent[only])
 
     @property
     def reading(self):
@@ -241,7 +262,7 @@ class Equilibria:
         move = trial.displacement - now.displacement
         given = structure.force @ ((now.amplitude + found.amplitude) / 2)
         work = np.where(structure.free, given, (now.force + force) / 2) @ move
-        spent = float(found.answers.spent[: len(cells)].sum()) if len(cells) else 0.0
+        spent = found.answers.spent[: len(cells)] if len(cells) else now.spent
         released = self._released(trial)
         ledger = self.state.work
         ledger = ledger._replace(external=ledger.external + work, released=ledger.released + released)
@@ -252,13 +273,12 @@ class Equilibria:
         field = jnp.asarray(trial.displacement.reshape(self.model.free.shape))
         self.state = self.state._replace(step=step, displacement=field, pool=pool, work=ledger)
         change = found.amplitude - now.amplitude
-        size = {"load": float(np.abs(change / self.scale).max()), "dissipation": spent - now.spent}
-        if self.gauge is not None:
-            size["gauge"] = abs(float(self.gauge @ move))
-        old = self.last
+        load = float(np.abs(change / self.scale).max())
+        if np.abs(move).max() > 0 and (load > 0 or self.last is None):
+            rise = np.where(now.ratio > 0, trial.ratio - now.ratio, 0.0)
+            gauge = abs(float(self.gauge @ move)) if self.gauge is not None else 0.0
+            self.last = Move(move, rise, change, load, gauge, spent - now.spent)
         self.now = Point(found.amplitude, trial.displacement, found.strain, found.stress, force, trial.ratio, spent)
-        if np.abs(move).max() > 0 and (size["load"] > 0 or old is None):
-            self.last = Move(move, np.where(now.ratio > 0, trial.ratio - now.ratio, 0.0), size, change)
         self.counts.increments += 1
         self.counts.iterations.append(len(found.history) - 1 if found.history else 0)
 
@@ -307,6 +327,9 @@ class Equilibria:
         elastic = np.einsum("kij,kj->ki", structure.elastic[cells], own[:, :MEAN])
         now.strain = np.concatenate([now.strain, own[:, :MEAN].reshape(-1)])
         now.stress = np.concatenate([now.stress, elastic.reshape(-1)])
+        now.spent = np.concatenate([now.spent, np.zeros(len(cells))])
+        if self.last is not None:
+            self.last.spent = np.concatenate([self.last.spent, np.zeros(len(cells))])
         place = before + np.arange(len(cells))
         found = self.respond(now.strain)
         pool = self.state.pool._replace(records=jnp.asarray(found.rows))
@@ -325,6 +348,8 @@ class Equilibria:
             self.pending = replace(old, place=both("place", place), modes=both("modes", modes), fall=both("fall", fall))
 
 
+MOST_AHEAD = 2.0  # of the last increment that the next is thought to go at most
+PUSH = 0.01  # strain, over that at onset, by which a band is taken further to make it load
 FIRST = 0.02  # of the last increment that the next is thought to go, where its measure says nothing
 
 

@@ -19,6 +19,8 @@ from jaxmpm.stiffness import amplitudes, loads_of
 EASY, HARD = 4, 8  # iterations after which increments grow, and after which they shrink
 GROWTH, CUT = 2.0, 0.25
 ENERGY = (0.02, 1e-5, 0.5)  # first, smallest and largest energy of an increment, over that of breaking a cell
+LEAP = 4  # largest increments of time that an increment of energy may take the loads
+CANDIDATES = 4  # bands that are tried one by one for control
 STAY = 3  # increments at least under control of energy, once it has taken over
 BRIDGES = 400  # at most in a run
 
@@ -33,6 +35,8 @@ class Line:
     factors: np.ndarray  # of the load that changes most, increasing
     factor: float = 0.0  # where the structure is
     increments: int = 0
+    bound: float = np.inf  # on the change of the factor in an increment
+    only: int | None = None  # the band whose energy is under control, else that of all
 
     def time(self, factor):
         """Time (s) at which the histories have come as far."""
@@ -69,6 +73,13 @@ class Follower:
         target = amplitudes(self.equilibria.model, 0.0)
         if self._by_load(0.0, target) is None:
             raise RunError("no equilibrium at t = 0: the loads that act there are more than the structure bears")
+
+    @property
+    def farthest(self):
+        """Time (s) that the loads have come to at the furthest."""
+        return max(self.time, self.began)
+
+    began = 0.0  # time at which energy took control, s
 
     def increment(self, until):
         """One increment towards a time (s); raises RunError where there is no way on."""
@@ -167,26 +178,45 @@ class Follower:
         most = np.argmax(np.abs(direction / eq.scale))
         along = np.asarray(jax.vmap(loads_of(model)[most].amplitude)(times))
         factors = np.maximum.accumulate((along - start[most]) / direction[most])
-        self.line = Line(start, direction, times, factors)
+        bound = LEAP * self.largest / (end - begin) * (factors[-1] - factors[0])
+        self.began = self.time
+        self.line = Line(start, direction, times, factors, bound=bound)
         first, *limits = (share * eq.energy_of_a_cell for share in ENERGY)
         self.size["dissipation"], self.limits["dissipation"] = first, limits
 
     def _by_energy(self, until):
-        """An increment of dissipated energy; whether there is one."""
+        """An increment of dissipated energy, of all bands or of the one that would run away; whether there is one."""
+        self.equilibria.open_critical()
+        if self.line.increments and self._with(self.line.only, until):
+            return True
+        for only in (*self._runaways(), None):
+            if self._with(only, until):
+                self.line.only = only
+                return True
+        return False
+
+    def _runaways(self):
+        """Bands that kept changing between rest and loading as the last attempt failed: neither is an equilibrium."""
+        failed = self.equilibria.failed
+        if failed is None or failed.flips is None:
+            return []
+        order = np.argsort(-failed.flips, kind="stable")[:CANDIDATES]
+        return [int(k) for k in order if failed.flips[k] > 1]
+
+    def _with(self, only, until):
+        """An increment by the energy of one band, or of all; whether there is one."""
         eq, line = self.equilibria, self.line
-        eq.open_critical()
         small, _ = self.limits["dissipation"]
         size = self.size["dissipation"]
-        last = eq.last.size["dissipation"] if eq.last else 0.0
+        last = eq.last.size(Control("dissipation", only=only)) if eq.last else 0.0
         if last > 0:
             size = max(min(size, last * eq.reach_to_onset()), small)
         most = line.factor_at(until) - line.factor
-        bound = self.largest / (line.times[-1] - line.times[0]) * (line.factors[-1] - line.factors[0])
         while True:
-            trial = self._try(line.direction, Control("dissipation", eq.now.spent + size, size))
+            trial = self._try(line.direction, Control("dissipation", eq.spent(only) + size, size, only))
             if trial is not None and trial.found.factor > most:
                 trial = self._try(line.direction, Control("load", most))
-            if trial is None or abs(trial.found.factor) > 4 * bound:
+            if trial is None or abs(trial.found.factor) > line.bound:
                 if size <= small:
                     return False
                 size = max(CUT * size, small)

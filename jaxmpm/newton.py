@@ -47,6 +47,7 @@ class Found:
     error: float = np.inf  # residual and shortage, relative
     history: list = field(default_factory=list)  # error of every iteration
     converged: bool = False
+    flips: np.ndarray | None = None  # how often each band changed between rest and loading (k,)
     stable: bool = True  # under its loads: the structure would come back if it were disturbed
 
 
@@ -68,6 +69,7 @@ class Newton:
             factor = control.target
         now = self._at(unknowns, factor, start, direction, control)
         history, best, since = [now.error], now.error, 0
+        flips = np.zeros(len(self.system.cells), int)
         if push is not None:
             pushed = self.respond(now.strain + push)
             now.answers = now.answers._replace(tangent=pushed.tangent, spends=pushed.spends)
@@ -78,12 +80,14 @@ class Newton:
             change = self._change(now, direction, control)
             if not np.isfinite(change[0]).all() or not np.isfinite(change[1]):
                 break
+            before = now.answers.status
             now = self._along(now, change, start, direction, control)
+            flips += (before != now.answers.status)[: len(flips)]
             history.append(now.error)
             best, since = (now.error, 0) if now.error < 0.7 * best else (best, since + 1)
             if since >= PATIENCE:
                 break
-        now.history = history
+        now.history, now.flips = history, flips
         if now.converged and control.kind == "load" and self.system.stable is False:
             # said of the last iteration but one: look again
             now.stable = self.system.softest(now.answers.tangent[: len(self.system.cells)])[1]
