@@ -11,7 +11,7 @@ unknowns are left for each. A cell more costs five solves with K₀ and a matrix
 """
 
 import numpy as np
-import scipy.linalg as dense
+from scipy.linalg import lapack
 
 from jaxmpm.stiffness import MEAN, MODES, Structure
 
@@ -136,8 +136,10 @@ class Condensed:
         """The change of the unknowns (3k,) against which the structure is softest, and whether it is stable."""
         factors, stable = _factors(self._matrix(tangent))
         mode = np.ones(len(self.inner))
+        if factors is None:
+            return mode, False
         for _ in range(INVERSE):
-            mode = dense.lu_solve(factors, mode / np.abs(mode).max(), check_finite=False)
+            mode = _back(factors, mode / np.abs(mode).max())
         return mode / np.abs(mode).max(), stable
 
     def displacement(self, unknowns, stress, amplitude):
@@ -159,16 +161,19 @@ def _solved(matrix, right):
     factors, positive = _factors(matrix)
     if factors is None:
         return np.full_like(right, np.nan), positive
-    return dense.lu_solve(factors, right, check_finite=False), positive
+    return _back(factors, right), positive
 
 
 def _factors(matrix):
-    """LU factors, and whether the determinant is positive."""
+    """LU factors, None where there are none, and whether the determinant is positive."""
     if not np.isfinite(matrix).all():
         return None, False
-    factors = dense.lu_factor(matrix, overwrite_a=True, check_finite=False)
-    swaps = np.count_nonzero(factors[1] != np.arange(len(matrix)))
-    diagonal = factors[0].diagonal()
-    if (diagonal == 0).any():
+    triangles, pivots, info = lapack.dgetrf(matrix, overwrite_a=True)
+    if info != 0:
         return None, False
-    return factors, bool((swaps + np.count_nonzero(diagonal < 0)) % 2 == 0)
+    swaps = np.count_nonzero(pivots != np.arange(len(matrix)))
+    return (triangles, pivots), bool((swaps + np.count_nonzero(triangles.diagonal() < 0)) % 2 == 0)
+
+
+def _back(factors, right):
+    return lapack.dgetrs(*factors, right)[0]

@@ -167,10 +167,10 @@ class Equilibria:
             displacement = self.structure.response @ amplitude
             found = Found(np.zeros(0), control.target, amplitude, np.zeros(0), converged=True, error=0.0)
             return Trial(found, displacement, self._ratio(displacement))
-        ahead, factor, push = self._ahead(direction, control)
+        ahead, factor = self._ahead(direction, control)
         guess = system.unknowns(now.displacement + ahead, now.amplitude + factor * direction)
         newton = Newton(system, self.respond, self.strength, self.stiffness, self.tolerance)
-        found = newton.solve(guess, now.amplitude, direction, control, factor, push)
+        found = newton.solve(guess, now.amplitude, direction, control, factor)
         if not found.converged:
             self.failed = found
             return None
@@ -197,23 +197,16 @@ class Equilibria:
         return None
 
     def _ahead(self, direction, control):
-        """Where the last increment would lead: change of the displacement (dofs,), load factor, push of the strains."""
+        """Where the last increment would lead: change of the displacement (dofs,) and load factor."""
         last = self.last
         if last is None:
-            return 0.0, control.target if control.kind == "load" else 0.0, None
+            return 0.0, control.target if control.kind == "load" else 0.0
         known = last.size(control)
         if control.only is not None and not known > 0:
-            return 0.0, 0.0, self._push(control.only)
+            return 0.0, 0.0
         reach = min(self.size_of(direction, control) / known if known > 0 else FIRST, MOST_AHEAD)
         factor = control.target if control.kind == "load" else reach * _along(last.amplitude, direction)
-        return reach * last.displacement, factor, None
-
-    def _push(self, place):
-        """A small further strain (3k,) of one band, the way that its cell strained last."""
-        push = np.zeros((len(self.system.cells), MEAN))
-        way = self.structure.rows(self.system.cells[[place]], MEAN) @ self.last.displacement
-        push[place] = PUSH * self.strength / self.stiffness * way / max(np.abs(way).max(), 1e-300)
-        return push.reshape(-1)
+        return reach * last.displacement, factor
 
     def size_of(self, direction, control):
         """Size of an increment in the measure of its control."""
@@ -349,7 +342,6 @@ class Equilibria:
 
 
 MOST_AHEAD = 2.0  # of the last increment that the next is thought to go at most
-PUSH = 0.01  # strain, over that at onset, by which a band is taken further to make it load
 FIRST = 0.02  # of the last increment that the next is thought to go, where its measure says nothing
 
 

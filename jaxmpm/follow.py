@@ -18,7 +18,8 @@ from jaxmpm.stiffness import amplitudes, loads_of
 
 EASY, HARD = 4, 8  # iterations after which increments grow, and after which they shrink
 GROWTH, CUT = 2.0, 0.25
-ENERGY = (0.02, 1e-5, 0.5)  # first, smallest and largest energy of an increment, over that of breaking a cell
+ENERGY = (0.02, 1e-5, 0.1)  # first, smallest and largest energy of an increment, over that of breaking a cell
+GAUGE = (0.1, 1e-4, 1.0)  # the same of the gauge's reading, over its last change before the first crack
 LEAP = 4  # largest increments of time that an increment of energy may take the loads
 CANDIDATES = 4  # bands that are tried one by one for control
 STAY = 3  # increments at least under control of energy, once it has taken over
@@ -36,6 +37,7 @@ class Line:
     factor: float = 0.0  # where the structure is
     increments: int = 0
     bound: float = np.inf  # on the change of the factor in an increment
+    kind: str = "dissipation"  # what is under control
     only: int | None = None  # the band whose energy is under control, else that of all
 
     def time(self, factor):
@@ -53,15 +55,16 @@ class Follower:
 
     equilibria: Equilibria
     duration: float  # s
-    control: str  # "time", "dissipation" or the name of the gauge
+    control: str  # "time", "dissipation" or "gauge"
     first: float  # increment of time, s
     smallest: float
     largest: float
-    say: object  # function of a message
     time: float = 0.0
     size: dict = field(default_factory=dict)  # of the next increment in each measure
     line: Line | None = None
     switches: list = field(default_factory=list)  # time (s) at which an equilibrium was unstable, whether one beside it was not
+    by_energy: int = 0  # increments under control of energy or gauge
+    began: float = 0.0  # time at which energy took control, s
     bridges: list = field(default_factory=list)  # time (s), energy (N·mm) of each
 
     def __post_init__(self):
@@ -79,19 +82,24 @@ class Follower:
         """Time (s) that the loads have come to at the furthest."""
         return max(self.time, self.began)
 
-    began = 0.0  # time at which energy took control, s
-
     def increment(self, until):
         """One increment towards a time (s); raises RunError where there is no way on."""
-        if self.line is None and self.control == "time":
+        if self.line is None and (self.control == "time" or not self._cracks()):
             if self._towards(until):
                 return
+        if self.line is None:
             self._take_over()
-        elif self.line is None:
-            self._by_choice(until)
+        if self._by_energy(until):
             return
-        if not self._by_energy(until):
-            self._bridge(until)
+        if self.control != "time":  # nothing is spent as the loads go back and forth: they go on
+            self.line = None
+            if self._towards(until):
+                return
+        self._bridge(until)
+
+    def _cracks(self):
+        eq = self.equilibria
+        return len(eq.system.cells) > 0 or eq.now.ratio.max() >= 1
 
     # -- along the histories -------------------------------------------------------------------
 
@@ -183,15 +191,20 @@ class Follower:
         self.line = Line(start, direction, times, factors, bound=bound)
         first, *limits = (share * eq.energy_of_a_cell for share in ENERGY)
         self.size["dissipation"], self.limits["dissipation"] = first, limits
+        if self.control == "gauge" and "gauge" not in self.limits:
+            unit = max(eq.last.gauge if eq.last else 0.0, 1e-12)
+            self.size["gauge"], self.limits["gauge"] = GAUGE[0] * unit, (GAUGE[1] * unit, GAUGE[2] * unit)
+            self._sense = 1.0 if eq.gauge @ eq.last.displacement >= 0 else -1.0
 
     def _by_energy(self, until):
-        """An increment of dissipated energy, of all bands or of the one that would run away; whether there is one."""
+        """An increment of the gauge or of dissipated energy, of all bands or of the one that would run away; whether there is one."""
         self.equilibria.open_critical()
-        if self.line.increments and self._with(self.line.only, until):
+        if self.line.increments and self._with(self.line.kind, self.line.only, until):
             return True
-        for only in (*self._runaways(), None):
-            if self._with(only, until):
-                self.line.only = only
+        first = [("gauge", None)] if self.control == "gauge" else [("dissipation", None)] * (self.control == "dissipation")
+        for kind, only in (*first, *(("dissipation", k) for k in self._runaways()), ("dissipation", None)):
+            if self._with(kind, only, until):
+                self.line.kind, self.line.only = kind, only
                 return True
         return False
 
@@ -203,30 +216,31 @@ class Follower:
         order = np.argsort(-failed.flips, kind="stable")[:CANDIDATES]
         return [int(k) for k in order if failed.flips[k] > 1]
 
-    def _with(self, only, until):
-        """An increment by the energy of one band, or of all; whether there is one."""
+    def _with(self, kind, only, until):
+        """An increment by the gauge, or by the energy of one band or of all; whether there is one."""
         eq, line = self.equilibria, self.line
-        small, _ = self.limits["dissipation"]
-        size = self.size["dissipation"]
-        last = eq.last.size(Control("dissipation", only=only)) if eq.last else 0.0
+        small, _ = self.limits[kind]
+        size = self.size[kind]
+        last = eq.last.size(Control(kind, only=only)) if eq.last else 0.0
         if last > 0:
             size = max(min(size, last * eq.reach_to_onset()), small)
         most = line.factor_at(until) - line.factor
         while True:
-            trial = self._try(line.direction, Control("dissipation", eq.spent(only) + size, size, only))
+            reached = eq.spent(only) if kind == "dissipation" else eq.reading
+            trial = self._try(line.direction, Control(kind, reached + self.sense(kind) * size, size, only))
             if trial is not None and trial.found.factor > most:
                 trial = self._try(line.direction, Control("load", most))
             if trial is None or abs(trial.found.factor) > line.bound:
                 if size <= small:
                     return False
                 size = max(CUT * size, small)
-                self.size["dissipation"] = size
+                self.size[kind] = size
                 continue
             share = eq.share_to_onset(trial)
             if share < 1 and size > small:
                 size = max(share * size, small)
                 continue
-            self._accept(trial, "dissipation", size)
+            self._accept(trial, kind, size)
             self._moved_on(trial.found.factor)
             return True
 
@@ -235,13 +249,19 @@ class Follower:
         line = self.line
         line.factor += change
         line.increments += 1
+        self.by_energy += 1
         self.time = max(line.time(line.factor), 0.0)
-        if self.control == "time" and line.factor > 0 and change > 0 and line.increments >= STAY:
+        if line.factor >= 1 - 1e-9:
+            self.line, self.time = None, line.times[-1]
+        elif self.control == "time" and line.factor > 0 and change > 0 and line.increments >= STAY:
             self.line = None
             self._span, self.size["load"] = np.inf, self.first
 
-    def _by_choice(self, until):
-        raise NotImplementedError
+    _sense = 1.0  # which way the gauge goes
+
+    def sense(self, kind):
+        """Which way what is under control goes: energy only grows."""
+        return self._sense if kind == "gauge" else 1.0
 
     # -- where there is no way -----------------------------------------------------------------
 

@@ -94,7 +94,10 @@ class Full:
     def softest(self, tangent):
         """The change of the unknowns (m,) against which the structure is softest, and whether it is stable."""
         blocks = block_diagonal(self.structure.volume * tangent)
-        factors = factorised(self.reduced + self.across @ (blocks @ self.by_unknowns))
+        try:
+            factors = factorised(self.reduced + self.across @ (blocks @ self.by_unknowns))
+        except RuntimeError:  # singular
+            return np.ones(len(self.reduced.indptr) - 1), False
         mode = self.across @ np.ones(self.across.shape[1])
         for _ in range(INVERSE):
             mode = factors.solve(mode / np.abs(mode).max())

@@ -11,6 +11,8 @@ from jaxmpm.laws.balance import FAILS
 
 MOST = 14  # iterations
 BACK = (1.0, 0.5, 0.25, 0.1)  # shares of a step that the line search tries
+WILD = 1e3  # times the best residual, after which it is given up too
+PUSH = 1e-3  # of its strain by which a band is taken further to see it load
 PATIENCE = 4  # iterations without a better residual after which it is given up
 
 
@@ -59,20 +61,17 @@ class Newton:
         self.system, self.respond = system, respond
         self.strength, self.stiffness, self.tolerance = strength, stiffness, tolerance
 
-    def solve(self, unknowns, start, direction, control, factor=0.0, push=None) -> Found:
+    def solve(self, unknowns, start, direction, control, factor=0.0) -> Found:
         """Equilibrium near `unknowns` where amplitudes are start + factor · direction and control has its target.
 
-        The first step takes the bands' tangents as if their strains were larger by `push` (3k,): it decides which of
-        them are thought to load. Does not raise: `Found.converged` says whether it is an equilibrium.
+        Does not raise: `Found.converged` says whether it is one.
         """
         if control.kind == "load":
             factor = control.target
         now = self._at(unknowns, factor, start, direction, control)
         history, best, since = [now.error], now.error, 0
         flips = np.zeros(len(self.system.cells), int)
-        if push is not None:
-            pushed = self.respond(now.strain + push)
-            now.answers = now.answers._replace(tangent=pushed.tangent, spends=pushed.spends)
+        self._make_load(now, control)
         while np.isfinite(now.error) and len(history) <= MOST:
             if now.error <= self.tolerance and len(history) > 1:
                 now.converged = True
@@ -85,13 +84,21 @@ class Newton:
             flips += (before != now.answers.status)[: len(flips)]
             history.append(now.error)
             best, since = (now.error, 0) if now.error < 0.7 * best else (best, since + 1)
-            if since >= PATIENCE:
+            if since >= PATIENCE or now.error > WILD * best:
                 break
         now.history, now.flips = history, flips
         if now.converged and control.kind == "load" and self.system.stable is False:
             # said of the last iteration but one: look again
             now.stable = self.system.softest(now.answers.tangent[: len(self.system.cells)])[1]
         return now
+
+    def _make_load(self, now, control):
+        """Where energy is to be spent and no band loads, take those at their limit for loading in the first step."""
+        count = len(self.system.cells)
+        if control.kind == "dissipation" and not control.among(now.answers.spends[:count]).any():
+            further = PUSH * control.among(now.strain.reshape(-1, 3)).reshape(-1)  # what drives softening grows with the strain
+            pushed = self.respond(now.strain + further)
+            now.answers = now.answers._replace(tangent=pushed.tangent, spends=pushed.spends)
 
     def _change(self, now, direction, control):
         """Newton's step from here."""

@@ -22,14 +22,18 @@ class Progress:
         if not self.wanted:
             return
         sim, scene = recorder.sim, recorder.scene
-        if recorder.done >= scene.output.samples:
+        if recorder.done >= 0 and recorder.complete:
             print(f"{scene.name}: {recorder.directory} is already complete, nothing is left to run", file=self.stream)
             return
         cells = int((sim.layout.material >= 0).sum())
         print(
-            f"{scene.name}: {cells} cells of {scene.grid.cell:g} mm, {sim.steps} steps of "
-            f"{sim.dt:.3g} s ({scene.solver.time_step_factor:g} of the stable {sim.stable_dt:.3g} s), "
-            f"{scene.solver.precision}"
+            f"{scene.name}: {cells} cells of {scene.grid.cell:g} mm, "
+            + (
+                f"in equilibrium, control by {scene.solver.control}, "
+                if recorder.static
+                else f"{sim.steps} steps of {sim.dt:.3g} s ({scene.solver.time_step_factor:g} of the stable {sim.stable_dt:.3g} s), "
+            )
+            + f"{scene.solver.precision}"
             + (f", resumed at sample {recorder.done + 1}" if recorder.done >= 0 else ""),
             file=self.stream,
         )
@@ -45,13 +49,15 @@ class Progress:
         if not self.wanted:
             return
         total, done = recorder.scene.output.samples, recorder.done
+        if recorder.static and recorder.sim.open_ended:
+            total, done = 1.0, recorder.sim.follower.time / recorder.scene.solver.duration
         share = done / total
         if not self.terminal:
             if int(10 * share) == self.tenth:
                 return
             self.tenth = int(10 * share)
         passed = time.perf_counter() - self.began
-        left = passed * (total - done) / max(done - max(self.first, 0), 1)
+        left = passed * (total - done) / max(done - max(self.first, 0), 1e-3 if total == 1.0 else 1)
         row = dict(zip((name for name, _ in recorder.columns), recorder.rows[-1], strict=True))
         text = f"{share:4.0%}"
         if recorder.scene.response:

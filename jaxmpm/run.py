@@ -9,11 +9,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmpm import observe, results, walls
+from jaxmpm import results, walls
 from jaxmpm.errors import RunError, SceneError, written
 from jaxmpm.homogenise import homogenised
 from jaxmpm.moving_simulation import MOVING_FIELDS, MovingSimulation
 from jaxmpm.progress import Progress
+from jaxmpm.quasistatic import QuasiStatic
 from jaxmpm.scene import Scene
 from jaxmpm.simulation import ERROR_LIMIT, FRAME_FIELDS, Simulation
 from jaxmpm.vtkhdf import PointCloudWriter, read_frame, read_frames
@@ -77,11 +78,12 @@ class Recorder:
 
     def __init__(self, scene, directory, resume, progress):
         self.scene, self.directory = scene, directory
-        self.sim = Simulation.of(scene)
+        self.static = scene.solver.kind == "quasistatic"
+        self.sim = (QuasiStatic if self.static else Simulation).of(scene)
         self.can_crack = self.sim.model.numerics.cracks
         self.handed_over = None  # time, s
         self.messages: list[str] = []
-        if self._begins_as_points():
+        if not self.static and self._begins_as_points():
             self.sim = MovingSimulation.of(self.sim)
         self.columns = [("step", ""), ("time", "s")]
         self.columns += [(gauge.name, gauge.unit) for gauge in self.sim.layout.gauges]
@@ -118,6 +120,8 @@ class Recorder:
                 self._samples()
         except RunError as stop:
             status, error = f"stopped: {stop}", stop
+            if self.static:
+                self._last_equilibrium()
         except KeyboardInterrupt:
             status, error = "interrupted", KeyboardInterrupt()
             self.save()
@@ -135,17 +139,17 @@ class Recorder:
 
     def _samples(self):
         scene, sim = self.scene, self.sim
-        samples, frames = scene.output.samples, scene.output.frames
-        framed = {round(k * samples / (frames - 1)) for k in range(frames)}
+        samples = scene.output.samples
         saved = clock.perf_counter()
         self.progress.start(self)
-        for sample in range(self.done + 1, samples + 1):
+        for sample in self._numbers():
             if sample > 0:
                 sim.advance(sim.step_at(sample, samples))
-            reading = sim.read() if sample > 0 or self.moves else self._at_rest()
+            reading = sim.read() if sample > 0 or self.moves else sim.at_rest()
+            self._told()
             error = self._error(reading)
             self._record(reading, error)
-            if sample in framed:
+            if self._framed(sample):
                 self._frame(reading)
             self.done = sample
             self._keep()
@@ -155,9 +159,44 @@ class Recorder:
             else:
                 sim.check(reading, error)
                 self._mention_loss(reading, error)
-            if clock.perf_counter() - saved > CHECKPOINT_SECONDS or sample == samples:
+            if clock.perf_counter() - saved > CHECKPOINT_SECONDS or self.complete:
                 self.save()
                 saved = clock.perf_counter()
+
+    def _numbers(self):
+        """Numbers of the samples to come."""
+        while self.done < 0 or not self.complete:
+            yield self.done + 1
+
+    @property
+    def complete(self) -> bool:
+        """Whether all samples have been recorded."""
+        if self.static and self.sim.open_ended:
+            return self.sim.finished
+        return self.done >= self.scene.output.samples
+
+    def _framed(self, sample) -> bool:
+        """Whether a frame is written at a sample."""
+        samples, frames = self.scene.output.samples, self.scene.output.frames
+        if self.static and self.sim.open_ended:
+            return sample % max(samples // (frames - 1), 1) == 0 or self.sim.finished
+        return sample in {round(k * samples / (frames - 1)) for k in range(frames)}
+
+    def _told(self):
+        """Say what an equilibrium's way has to say."""
+        if self.static:
+            for message in self.sim.messages:
+                self.messages.append(message)
+                self.progress.say(message)
+            self.sim.messages.clear()
+
+    def _last_equilibrium(self):
+        """Record the last equilibrium of a run that stops between two samples."""
+        self._told()
+        reading = self.sim.read()
+        if self.rows and float(reading.time) > self.rows[-1][1]:
+            self._record(reading, self._error(reading))
+            self._frame(reading)
 
     @property
     def moves(self) -> bool:
@@ -201,23 +240,14 @@ class Recorder:
 
     def _keep(self):
         """What a restart file would hold now: things that belong together."""
-        meta = json.loads(json.dumps(self.sim.meta())) if self.moves else None
+        meta = json.loads(json.dumps(self.sim.meta())) if self.moves or self.static else None
         self.safe = (self.sim.state, self.done, self.frames, self.most, meta)
-
-    def _at_rest(self):
-        """The reading before the first step."""
-        sim = self.sim
-        back = sim.state._replace(
-            step=jnp.ones_like(sim.state.step),
-            displacement=sim.state.displacement + sim._dt() * sim.state.velocity,
-        )
-        reading = sim.compiled(observe.read)(sim.model, back, sim._dt())
-        return jax.tree.map(np.asarray, reading)
 
     def _record(self, reading, error):
         sim = self.sim
-        begin, before = (sim.begin, sim.steps_before) if self.moves else (0.0, 0)
-        row = [before + round((float(reading.time) - begin) / sim.dt), float(reading.time)]
+        time = float(reading.time)
+        step = sim.steps_before + round((time - sim.begin) / sim.dt) if self.moves else sim.step_of(time)
+        row = [step, time]
         row += [float(reading.gauges[gauge.name]) for gauge in self.sim.layout.gauges]
         row += [float(value) for value in reading.energies()]
         row += [error, int(reading.cracked)]
@@ -276,12 +306,12 @@ class Recorder:
                 f"({difference(meta['scene'], now)}); run it with the same scene and --set, or "
                 "without --resume to start anew"
             )
-        if meta["moving"] is not None and not self.moves:
+        if meta["moving"] is not None and not self.moves and not self.static:
             self.sim = MovingSimulation.blank(self.sim)
         leaves, tree = jax.tree_util.tree_flatten_with_path(self.sim.state)
         names = [_name(path) for path, _ in leaves]
         self.sim.state = jax.tree.unflatten(tree, [jnp.asarray(arrays[name]) for name in names])
-        if self.moves:
+        if self.moves or self.static:
             self.sim.resume(meta["moving"])
         self.handed_over, self.messages = meta["handed_over"], meta["messages"]
         self.done, self.frames, self.most = meta["done"], meta["frames"], meta["most_energy"]
@@ -351,6 +381,8 @@ class Recorder:
         if self.moves:
             out |= {"points": sim.count(), "points_left": sim.left, "hand_over_time": self.handed_over}
             out |= {"messages": self.messages}
+        if self.static:
+            out |= {"quasistatic": sim.report(), "messages": self.messages}
         if scene.response and self.rows:
             load, displacement = self.response()
             peak = int(np.nanargmax(np.abs(load))) if np.isfinite(load).any() else 0

@@ -21,6 +21,7 @@ Direction = Annotated[
     Literal["x", "y"] | Number, Field(description="an axis, or an angle from the x axis in degrees")
 ]
 Shapes = Annotated[tuple[Shape, ...], Field(min_length=1)]
+Share = Annotated[Number, Field(gt=0.0, le=1.0)]
 SetName = Annotated[str, Field(description="name of a node set")]
 
 
@@ -226,7 +227,22 @@ class Contact(Table):
 class Solver(Table):
     """How time is stepped."""
 
-    kind: Literal["explicit"] = Field("explicit", description="the solver")
+    kind: Literal["explicit", "quasistatic"] = Field(
+        "explicit",
+        description="explicit: the motion, step by step; quasistatic: equilibrium under loads whose histories' time is "
+        "no more than a load factor (total frame only)",
+    )
+    control: str = Field(
+        "time",
+        description="what quasistatic increments prescribe once something cracks: time: the loads; dissipation: the "
+        "energy that bands dissipate; or the name of a displacement gauge",
+    )
+    tolerance: Positive = Field(
+        1e-6, description="out-of-balance strain of quasistatic equilibrium, over the strain at onset, dimensionless"
+    )
+    first_increment: Share = Field(0.005, description="first quasistatic increment over the duration, dimensionless")
+    smallest_increment: Share = Field(1e-6, description="smallest, over the duration, dimensionless")
+    largest_increment: Share = Field(0.02, description="largest, over the duration, dimensionless")
     frame: Literal["auto", "total", "updated"] = Field(
         "auto",
         description="total: a body that hardly moves; updated: points that move; auto: total until "

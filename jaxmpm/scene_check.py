@@ -8,6 +8,7 @@ from typing import Any
 from jaxmpm.errors import Problems, at, did_you_mean, written
 from jaxmpm.scene_check_mesostructure import check_mesostructure
 from jaxmpm.scene_check_moving import check_moving
+from jaxmpm.scene_check_quasistatic import check_quasistatic
 
 # ---- types and ranges: from the validator's findings and the scene's own JSON schema
 
@@ -165,6 +166,7 @@ def check(tree: dict[str, Any], problems: Problems) -> None:
     check_moving(tree, problems)
     _check_macro(tree, problems)
     check_mesostructure(tree, problems)
+    check_quasistatic(tree, problems)
 
 
 def _entries(tree: dict, key: str) -> Iterator[tuple[Any, dict]]:

@@ -105,11 +105,26 @@ class Simulation:
         reading = self.compiled(observe.read)(self.model, self.state, self._dt())
         return jax.tree.map(np.asarray, reading)
 
+    def at_rest(self) -> observe.Reading:
+        """The reading before the first step."""
+        back = self.state._replace(
+            step=jnp.ones_like(self.state.step),
+            displacement=self.state.displacement + self._dt() * self.state.velocity,
+        )
+        reading = self.compiled(observe.read)(self.model, back, self._dt())
+        return jax.tree.map(np.asarray, reading)
+
+    def step_of(self, time) -> int:
+        """Number of the step at a time (s)."""
+        return round(time / self.dt)
+
+    def _fields(self):
+        """What `frame` shows, over the grid."""
+        return self.compiled(observe.frame)(self.model, self.state, self._dt())
+
     def frame(self) -> tuple[np.ndarray, dict]:
         """Centres of the filled cells (N, 3), mm, and their fields."""
-        values = jax.tree.map(
-            np.asarray, self.compiled(observe.frame)(self.model, self.state, self._dt())
-        )
+        values = jax.tree.map(np.asarray, self._fields())
         filled = self.layout.material >= 0
         i, j = np.nonzero(filled)
         x, y = self.layout.origin
