@@ -1,0 +1,20 @@
+"""Small scenes in equilibrium: bars that break at one column of cells, a notched plate."""
+
+from jaxmpm.scene import load_scene
+
+STATIC = ['solver.kind="quasistatic"', "solver.damping=0.02"]
+
+
+def bar(length, *more):
+    """The scene bar, its length (mm) and cells of 5 mm, in equilibrium."""
+    ends = [f"grid.size=[{length:g}, 10.0]", f"bodies.0.shapes.0.max=[{length:g}, 10.0]"]
+    ends += [f"sets.right.inside.0.{side}=[{length:g}, {y}]" for side, y in (("min", 0.0), ("max", 10.0))]
+    return load_scene("bar", [*STATIC, *ends, "parameters.cell=5", *more])
+
+
+def plate(*more):
+    """The scene den on cells of 10 mm, whose notches take a row of cells, in equilibrium."""
+    notches = [f"bodies.0.minus.{k}.{side}=[{x}, {y}]" for k, xs in ((0, (0, 30)), (1, (170, 200))) for side, x, y in
+               (("min", xs[0], 90), ("max", xs[1], 100))]  # fmt: skip
+    return load_scene("den", [*STATIC, "grid.cell=10", "sets.right_lower.inside.0.max=[200.0, 90.0]",
+                              "gauges.left_notch.points=[[0.0, 90.0], [0.0, 100.0]]", *notches, *more])  # fmt: skip
