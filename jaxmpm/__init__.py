@@ -3,6 +3,12 @@
 Units everywhere: mm, N, MPa, s, tonne; tension is positive.
 """
 
+import os
+
+# Dense systems here are small: on cores that are busy with other things threads only wait for each other, up to 40
+# times as long as one takes alone. NumPy reads this when it is first imported.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 __version__ = "0.1.0"
 
 _PUBLIC = {

@@ -39,6 +39,7 @@ class Point:
     force: np.ndarray  # of the cells on the nodes (dofs,), N
     ratio: np.ndarray  # r̂ of the intact cells (nx, ny)
     spent: np.ndarray  # energy that the softening of each band has taken, N·mm, (k,)
+    energy: float  # stored and dissipated, N·mm
 
 
 @dataclass
@@ -66,6 +67,14 @@ class Trial:
     found: Found
     displacement: np.ndarray
     ratio: np.ndarray
+    energy: float  # stored and dissipated, N·mm
+    work: float  # of the loads on the way, by the trapezoidal rule
+    force: np.ndarray  # of the cells on the nodes, N
+    aside: bool = False  # reached by a fall: energy that is missing was taken by damping
+
+    def missing(self, before: float) -> float:
+        """Energy (N·mm) that the way here has lost: more than next to nothing where it was no way but a leap."""
+        return self.work - (self.energy - before)
 
 
 @dataclass
@@ -126,7 +135,8 @@ class Equilibria:
         amplitude = np.zeros(self.structure.force.shape[1]) if amplitude is None else amplitude
         spent = self.respond(strain).spent[: len(cells)] if len(cells) else np.zeros(0)
         force = self.structure.force_of(displacement, cells, stress, GRIP)
-        self.now = Point(amplitude, displacement, strain, stress, force, self._ratio(displacement), spent)
+        energy = self._energy(displacement, strain, state.pool.records)
+        self.now = Point(amplitude, displacement, strain, stress, force, self._ratio(displacement), spent, energy)
         self.pending = self.last = None
 
     def _call(self, function, *args):
@@ -166,7 +176,7 @@ class Equilibria:
             amplitude = now.amplitude + control.target * direction
             displacement = self.structure.response @ amplitude
             found = Found(np.zeros(0), control.target, amplitude, np.zeros(0), converged=True, error=0.0)
-            return Trial(found, displacement, self._ratio(displacement))
+            return self._trial(found, displacement)
         ahead, factor = self._ahead(direction, control)
         guess = system.unknowns(now.displacement + ahead, now.amplitude + factor * direction)
         newton = Newton(system, self.respond, self.strength, self.stiffness, self.tolerance)
@@ -174,8 +184,34 @@ class Equilibria:
         if not found.converged:
             self.failed = found
             return None
-        displacement = system.displacement(found.unknowns, found.stress, found.amplitude)
-        return Trial(found, displacement, self._ratio(displacement))
+        return self._trial(found, system.displacement(found.unknowns, found.stress, found.amplitude))
+
+    def _trial(self, found, displacement):
+        """What may be accepted, with its energies."""
+        now, structure, cells = self.now, self.structure, self.system.cells
+        force = structure.force_of(displacement, cells, found.stress, GRIP)
+        move = displacement - now.displacement
+        given = structure.force @ ((now.amplitude + found.amplitude) / 2)
+        work = np.where(structure.free, given, (now.force + force) / 2) @ move
+        energy = self._energy(displacement, found.strain, found.answers.rows if len(cells) else None)
+        return Trial(found, displacement, self._ratio(displacement), energy, float(work), force)
+
+    def _energy(self, displacement, strain, rows):
+        """Stored and dissipated energy, N·mm, of bands with these records."""
+        structure, cells = self.structure, self.system.cells
+        total = displacement @ (structure.stiffness @ displacement) / 2
+        if not len(cells):
+            return float(total)
+        own = (structure.rows(cells) @ displacement).reshape(-1, MODES)
+        total -= structure.volume / 2 * np.einsum("ki,kij,kj", own[:, :MEAN], structure.elastic[cells], own[:, :MEAN])
+        total -= (1 - GRIP) / 2 * (structure.hourglass[cells] @ (own[:, MEAN:] ** 2).sum(1))
+        pool = self.state.pool._replace(records=jnp.asarray(rows))
+        held = self._call(bands_static.held_energy, pool, bands_static.strains_of(pool, strain))
+        return float(total + np.asarray(held)[: len(cells)].sum())
+
+    def missing(self, trial):
+        """Energy (N·mm) that an increment has lost besides what cells that cracked have let go of."""
+        return trial.missing(self.now.energy) - self._released(trial)
 
     def switched(self, trial) -> Trial | None:
         """A stable equilibrium beside one that is not, at the same loads; None if none is found.
@@ -192,8 +228,9 @@ class Equilibria:
         for far in SIDEWAYS:
             other = newton.solve(found.unknowns + far * unit, found.amplitude, none, Control("load", 0.0))
             if other.converged and other.stable:
-                displacement = system.displacement(other.unknowns, other.stress, other.amplitude)
-                return Trial(other, displacement, self._ratio(displacement))
+                beside = self._trial(other, system.displacement(other.unknowns, other.stress, other.amplitude))
+                beside.aside = True
+                return beside
         return None
 
     def _ahead(self, direction, control):
@@ -249,16 +286,16 @@ class Equilibria:
 
     def accept(self, trial):
         """Take an equilibrium over."""
-        now, found, structure = self.now, trial.found, self.structure
+        now, found = self.now, trial.found
         cells = self.system.cells
-        force = structure.force_of(trial.displacement, cells, found.stress, GRIP)
         move = trial.displacement - now.displacement
-        given = structure.force @ ((now.amplitude + found.amplitude) / 2)
-        work = np.where(structure.free, given, (now.force + force) / 2) @ move
         spent = found.answers.spent[: len(cells)] if len(cells) else now.spent
-        released = self._released(trial)
+        released, fall = self._released(trial), max(self.missing(trial), 0.0) if trial.aside else 0.0
+        self.pending = None
         ledger = self.state.work
-        ledger = ledger._replace(external=ledger.external + work, released=ledger.released + released)
+        ledger = ledger._replace(
+            external=ledger.external + trial.work, released=ledger.released + released, damping=ledger.damping + fall
+        )
         pool = self.state.pool
         if len(cells):
             pool = pool._replace(records=jnp.asarray(found.answers.rows), stress=jnp.asarray(found.answers.stress.T))
@@ -271,13 +308,15 @@ class Equilibria:
             rise = np.where(now.ratio > 0, trial.ratio - now.ratio, 0.0)
             gauge = abs(float(self.gauge @ move)) if self.gauge is not None else 0.0
             self.last = Move(move, rise, change, load, gauge, spent - now.spent)
-        self.now = Point(found.amplitude, trial.displacement, found.strain, found.stress, force, trial.ratio, spent)
+        self.now = Point(
+            found.amplitude, trial.displacement, found.strain, found.stress, trial.force, trial.ratio, spent, trial.energy
+        )
         self.counts.increments += 1
         self.counts.iterations.append(len(found.history) - 1 if found.history else 0)
 
     def _released(self, trial):
         """Energy (N·mm) let go of by the cells that have cracked on the way: of the hourglass, and of the overshoot."""
-        pending, self.pending = self.pending, None
+        pending = self.pending
         if pending is None:
             return 0.0
         structure, cells = self.structure, self.system.cells[pending.place]
@@ -285,6 +324,15 @@ class Equilibria:
         before = self.now.strain.reshape(-1, MEAN)[pending.place]
         modes = (1 - GRIP) * structure.hourglass[cells] / 2 * (pending.modes * own[:, MEAN:]).sum(1)
         return modes.sum() + structure.volume / 2 * (pending.fall * (own[:, :MEAN] - before)).sum()
+
+    def let_go(self):
+        """Book what cells that have cracked let go of where no increment follows: all their hourglass energy."""
+        if self.pending is None:
+            return
+        cells, work = self.system.cells[self.pending.place], self.state.work
+        energy = (1 - GRIP) / 2 * (self.structure.hourglass[cells] @ (self.pending.modes**2).sum(1))
+        self.state = self.state._replace(work=work._replace(released=work.released + energy))
+        self.pending = None
 
     # -- cells that crack ------------------------------------------------------------------------
 
@@ -327,9 +375,11 @@ class Equilibria:
         found = self.respond(now.strain)
         pool = self.state.pool._replace(records=jnp.asarray(found.rows))
         held = np.asarray(self._call(bands_static.held_energy, pool, bands_static.strains_of(pool, now.strain)))[place]
+        now.energy -= (1 - GRIP) / 2 * (structure.hourglass[cells] @ (own[:, MEAN:] ** 2).sum(1))
         lost = structure.volume / 2 * (elastic * own[:, :MEAN]).sum() - held.sum()
         work = self.state.work
         self.state = self.state._replace(work=work._replace(released=work.released + lost))
+        now.energy -= lost
         now.ratio = now.ratio.copy()
         now.ratio.reshape(-1)[cells] = 0.0
         modes, fall = own[:, MEAN:], elastic - found.stress[place]

@@ -20,6 +20,7 @@ EASY, HARD = 4, 8  # iterations after which increments grow, and after which the
 GROWTH, CUT = 2.0, 0.25
 ENERGY = (0.02, 1e-5, 0.1)  # first, smallest and largest energy of an increment, over that of breaking a cell
 GAUGE = (0.1, 1e-4, 1.0)  # the same of the gauge's reading, over its last change before the first crack
+MISSING = (0.005, 0.002)  # energy that an increment may miss, over its work, and over that of breaking a cell
 LEAP = 4  # largest increments of time that an increment of energy may take the loads
 CANDIDATES = 4  # bands that are tried one by one for control
 STAY = 3  # increments at least under control of energy, once it has taken over
@@ -156,9 +157,13 @@ class Follower:
         return trial
 
     def _try(self, direction, control):
-        trial = self.equilibria.attempt(direction, control)
+        """An attempt; None where it came to nothing, or to an equilibrium that is no neighbour: energy is missing on the way."""
+        eq = self.equilibria
+        trial = eq.attempt(direction, control)
+        if trial is not None and eq.missing(trial) > MISSING[0] * abs(trial.work) + MISSING[1] * eq.energy_of_a_cell:
+            trial = None
         if trial is None:
-            self.equilibria.counts.cut_backs += 1
+            eq.counts.cut_backs += 1
         return trial
 
     def _accept(self, trial, kind, size):

@@ -194,7 +194,7 @@ class Recorder:
         """Record the last equilibrium of a run that stops between two samples."""
         self._told()
         reading = self.sim.read()
-        if self.rows and float(reading.time) > self.rows[-1][1]:
+        if self.rows and self.sim.step_of(reading.time) > self.rows[-1][0]:
             self._record(reading, self._error(reading))
             self._frame(reading)
 

@@ -139,7 +139,8 @@ def test_no_equilibrium_stops_with_all_on_disk(tmp_path, monkeypatch):
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert summary["status"].startswith("stopped: no equilibrium")
     history = results.read_history(tmp_path / "history.csv")
-    assert np.abs(history["load"]).max() == pytest.approx(290, rel=0.02)  # the last equilibrium is there, nothing beyond
+    assert 265 < np.abs(history["load"]).max() < 291  # no state beyond what the bar bears
+    assert history["step"][-1] == summary["quasistatic"]["increments"]  # the last equilibrium is there
     assert abs(history["energy_error"]).max() < 0.01
 
 
@@ -170,7 +171,7 @@ def test_explicit_refuses_what_only_equilibrium_uses():
 def test_bridge_is_the_last_resort(monkeypatch):
     """With control by energy taken away the snap-back of a bar is a fall, whose energy is accounted for."""
     monkeypatch.setattr(follow.Follower, "_by_energy", lambda self, until: False)
-    sim = QuasiStatic.of(bar(400, "displacements.0.history.value=[0.0, 0.03, 0.2]", "output.samples=20"))
+    sim = QuasiStatic.of(bar(800, "displacements.0.history.value=[0.0, 0.06, 0.2]", "output.samples=20"))
     sim.at_rest()
     for sample in range(1, 21):
         sim.advance(sample)
