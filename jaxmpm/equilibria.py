@@ -5,7 +5,7 @@ been accepted last is where everything starts from again.
 """
 
 import time as clock
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import cached_property
 
 import jax
@@ -18,6 +18,7 @@ from jaxmpm import model as models
 from jaxmpm.bands_static import TOGETHER
 from jaxmpm.condensed import GRIP, Condensed
 from jaxmpm.full_system import Full
+from jaxmpm.increment import Counts, Move, Pending, Point, Trial
 from jaxmpm.newton import Control, Found, Newton
 from jaxmpm.stiffness import MEAN, MODES, Structure, loads_of
 
@@ -26,74 +27,6 @@ NEIGHBOURS = 5  # cells each way in which one at most cracks at a time
 SIDEWAYS = (0.05, -0.05, 0.3, -0.3, 2.0, -2.0)  # steps along the softest mode, over the strain at onset
 BROKEN = 40.0  # softening p of a band that is as good as broken
 DENSE = 3.7  # cells that crack, over the root of the unknowns, up to which a dense system is quicker
-
-
-@dataclass
-class Point:
-    """An equilibrium that has been accepted."""
-
-    amplitude: np.ndarray  # of the loads (loads,)
-    displacement: np.ndarray  # (dofs,), mm
-    strain: np.ndarray  # mean strain of the cracked cells (3k,)
-    stress: np.ndarray  # (3k,), MPa
-    force: np.ndarray  # of the cells on the nodes (dofs,), N
-    ratio: np.ndarray  # r̂ of the intact cells (nx, ny)
-    spent: np.ndarray  # energy that the softening of each band has taken, N·mm, (k,)
-    energy: float  # stored and dissipated, N·mm
-
-
-@dataclass
-class Move:
-    """How the last increment went, to extrapolate from."""
-
-    displacement: np.ndarray
-    ratio: np.ndarray
-    amplitude: np.ndarray  # their change
-    load: float  # size of the increment by the loads,
-    gauge: float  # by the gauge's reading, mm,
-    spent: np.ndarray  # and by the energy that each band has spent, N·mm, (k,)
-
-    def size(self, control):
-        """Size of the increment in the measure of a control."""
-        if control.kind == "dissipation":
-            return self.spent[control.only] if control.only is not None else self.spent.sum()
-        return self.load if control.kind == "load" else self.gauge
-
-
-@dataclass
-class Trial:
-    """An equilibrium that may be accepted."""
-
-    found: Found
-    displacement: np.ndarray
-    ratio: np.ndarray
-    energy: float  # stored and dissipated, N·mm
-    work: float  # of the loads on the way, by the trapezoidal rule
-    force: np.ndarray  # of the cells on the nodes, N
-    aside: bool = False  # reached by a fall: energy that is missing was taken by damping
-
-    def missing(self, before: float) -> float:
-        """Energy (N·mm) that the way here has lost: more than next to nothing where it was no way but a leap."""
-        return self.work - (self.energy - before)
-
-
-@dataclass
-class Pending:
-    """Cells that have cracked since the last equilibrium."""
-
-    place: np.ndarray  # among the cracked cells
-    modes: np.ndarray  # hourglass amplitudes then, mm, (k, 2)
-    fall: np.ndarray  # of the stress as the bands answer the overshoot (k, 3), MPa
-
-
-@dataclass
-class Counts:
-    """What it took."""
-
-    increments: int = 0
-    iterations: list = field(default_factory=list)  # of every increment that was accepted
-    attempts: int = 0
-    cut_backs: int = 0
 
 
 class Equilibria:
