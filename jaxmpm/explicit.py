@@ -61,7 +61,7 @@ def _step(model, prepared, state, dt, reverse=False):
     stress = with_bands(elastic, state.place, pool.stress)
     keep = jnp.asarray(np.exp(-1 / LETTING_GO), state.grip.dtype)
     grip = jnp.where(state.intact > 0, state.grip, keep * state.grip)
-    cracked, mean = _open(model, prepared, state, pool, grip, elastic, stress, strain, dt)
+    cracked, mean = _open(model, prepared, state, pool, grip, elastic, stress, strain, dt, reverse)
     given_up = _let_go(n, prepared, state, cracked, strain.hourglass, dt)
     stiffness = prepared.hourglass * cracked.grip
     stress = grid.CellStress(mean, tuple(stiffness * q for q in strain.hourglass))
@@ -181,7 +181,7 @@ def onset_ratio(prepared, elastic, size):
     return prepared.embedding.law.onset(stress, prepared.embedding.bulk)
 
 
-def _open(model, prepared, state, pool, grip, elastic, stress, strain, dt):
+def _open(model, prepared, state, pool, grip, elastic, stress, strain, dt, reverse=False):
     """The state with this pool and grip, and a band for every intact cell that has reached onset.
 
     Returns:
@@ -221,6 +221,8 @@ def _open(model, prepared, state, pool, grip, elastic, stress, strain, dt):
         mean = tuple(put(*pair) for pair in zip(mean, own, strict=True))
         return put(intact, 0.0), put(grip, left), put(place, places.astype(place.dtype)), pool, mean
 
+    if reverse:  # few steps open a crack: the others need not keep what its derivative takes
+        open_them = jax.checkpoint(open_them)
     parts = (state.intact, grip, state.place, pool, stress.mean[:3])
     *parts, mean = lax.cond(number > 0, open_them, lambda *parts: parts, *parts)
     return state._replace(**dict(zip(("intact", "grip", "place", "pool"), parts, strict=True))), mean
