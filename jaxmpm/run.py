@@ -390,7 +390,8 @@ class Recorder:
             out["load_unit"], out["displacement_unit"] = self.units()
             out |= {"peak_load": load[peak], "displacement_at_peak": displacement[peak]}
             out |= {"final_load": load[-1], "final_displacement": displacement[-1]}
-            out["kinetic_share_at_peak"] = self.kinetic_share(peak)
+            if not self.static:
+                out["kinetic_share_at_peak"] = self.kinetic_share(peak)
             if reference := scene.response.reference:
                 out["reference"] = reference.file
                 if reference.is_band:

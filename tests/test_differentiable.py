@@ -54,7 +54,7 @@ def answers(run, values, reverse=False):
 
 def compiled(function, *args):
     """Compiled in little time; that it runs in more is no matter here."""
-    options = {"xla_backend_optimization_level": 0}
+    options = {"xla_backend_optimization_level": 1}
     return jax.jit(function).lower(*args).compile(compiler_options=options)
 
 

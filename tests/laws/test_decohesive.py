@@ -26,7 +26,7 @@ def answer(law, strain, history):
 
 
 # what is compiled runs for milliseconds, so that optimising it takes longer than it saves
-jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
+jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 1})
 compiled = jit(jax.vmap(answer))
 
 

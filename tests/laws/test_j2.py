@@ -27,7 +27,7 @@ def answer(law, strain, history):
 
 
 # what is compiled runs for milliseconds, so that optimising it takes longer than it saves
-jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
+jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 1})
 respond = jit(jax.vmap(answer))
 push = jit(jax.vmap(lambda at, along: jax.jvp(answer, at, along)[1]))
 pull = jit(jax.vmap(lambda at, back: jax.vjp(answer, *at)[1](back)))
