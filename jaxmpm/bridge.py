@@ -10,7 +10,7 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmpm import bands, compilation, explicit
+from jaxmpm import compilation, explicit
 from jaxmpm import model as models
 from jaxmpm.condensed import GRIP
 from jaxmpm.errors import RunError
@@ -41,9 +41,9 @@ def cross(follower, until):
     model = replace(held_at(eq.model, amplitude), damping=jnp.asarray(DAMPING, eq.model.free.dtype), viscosity=None)
     step, before = eq.state.step, float(eq.state.work.damping)
     dt = jnp.asarray(STEP * float(models.stable_time_step(model)), eq.model.free.dtype)
-    state, compiled = eq.state, {}
+    state = eq.state
     for look in range(LOOKS):
-        state = _advanced(model, state, dt, step + (look + 1) * STEPS, compiled)
+        state = _advanced(model, state, dt, step + (look + 1) * STEPS)
         kinetic = float(models.kinetic_energy(model, eq.prepared.mass, state.velocity))
         if not np.isfinite(kinetic):
             break
@@ -56,15 +56,13 @@ def cross(follower, until):
     )
 
 
-def _advanced(model, state, dt, until, compiled):
+def _advanced(model, state, dt, until):
     """The state moved to step `until`, its pool grown as needed."""
     while int(state.step) < int(until):
         if bool(explicit.needs_room(state)):
-            state = state._replace(pool=bands.joined(state.pool, models.empty_pool(model, state.pool.cell.shape[0])))
-        capacity = state.pool.cell.shape[0]
-        if capacity not in compiled:
-            compiled[capacity] = compilation.compiled(explicit.advance.lower(model, state, dt, jnp.int32(0)))
-        state = compiled[capacity](model, state, dt, jnp.int32(until))
+            state = models.with_room(model, state)
+        asked = model, state, dt, jnp.int32(until)
+        state = compilation.program(explicit.advance, *asked)(*asked)
         if int(state.failed) >= 0:
             raise RunError(f"a band did not converge on a dynamic bridge, in its cell number {int(state.pool.cell[int(state.failed)])}")
     return state

@@ -93,23 +93,16 @@ def _seeds(options) -> range:
     return range(first, first + options.samples)
 
 
-def _number(text: str) -> float | str:
-    """A number where that is what the text is."""
-    try:
-        return float(text)
-    except ValueError:
-        return text
-
-
 def _varied(text: str) -> tuple[str, list[str]]:
     """The key and the values of --vary; raises ResultError where they are not what they should be."""
+    from jaxmpm.ensemble_sizes import number_of
     from jaxmpm.results import ResultError
 
     key, equals, listed = text.partition("=")
     key, values = key.strip(), [value.strip() for value in listed.split(",")]
     if not equals or not key or not all(re.fullmatch(r"[\w.+-]+", value) for value in values):
         raise ResultError(f"--vary = {text}: expected KEY=V1,V2,… with numbers or plain words (as in parameters.side=12.5,25)")
-    if len(set(map(_number, values))) < len(values):
+    if len(set(map(number_of, values))) < len(values):
         raise ResultError(f"--vary = {text}: expected values that differ")
     if key.endswith(".seed"):
         raise ResultError(f"--vary = {text}: expected another key, seeds are what --samples and --seed give")

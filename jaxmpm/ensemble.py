@@ -14,7 +14,8 @@ from jaxmpm import results
 from jaxmpm.ensemble_statistics import statistics, table_of
 from jaxmpm.ensemble_workers import run_beside
 from jaxmpm.errors import RunError, SceneError, written
-from jaxmpm.run import difference, run_scene, terminate_as_interrupt
+from jaxmpm.restart import difference
+from jaxmpm.run import run_scene, terminate_as_interrupt
 from jaxmpm.scene import Scene
 
 FINAL = ("completed", "stopped", "refused")  # how a sample ends that another try would not change

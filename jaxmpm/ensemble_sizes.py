@@ -43,7 +43,7 @@ def write_sizes(key: str, found: dict[str, dict], directory: Path) -> None:
     if any(peaks):
         from jaxmpm.plot_ensemble import plot_sizes
 
-        plot_sizes(key, [_number(value) for value in found], list(found.values()), peaks, directory / "sizes.png")
+        plot_sizes(key, [number_of(value) for value in found], list(found.values()), peaks, directory / "sizes.png")
 
 
 def _peaks(directory: Path, seeds) -> list[float]:
@@ -52,7 +52,8 @@ def _peaks(directory: Path, seeds) -> list[float]:
     return [one["peak_load"] for one in summaries if one["status"] == "completed" and "peak_load" in one]
 
 
-def _number(value: str) -> float | str:
+def number_of(value: str) -> float | str:
+    """A number where that is what a text is."""
     try:
         return float(value)
     except ValueError:

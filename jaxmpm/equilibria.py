@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import ndimage
 
-from jaxmpm import bands, bands_static, compilation, grid
+from jaxmpm import bands_static, compilation, grid
 from jaxmpm import model as models
 from jaxmpm.bands_static import TOGETHER
 from jaxmpm.condensed import GRIP, Condensed
@@ -26,6 +26,8 @@ OVERSHOOT = 0.02  # of the strength: by how much a cell may be beyond onset at t
 NEIGHBOURS = 5  # cells each way in which one at most cracks at a time
 SIDEWAYS = (0.05, -0.05, 0.3, -0.3, 2.0, -2.0)  # steps along the softest mode, over the strain at onset
 BROKEN = 40.0  # softening p of a band that is as good as broken
+MOST_AHEAD = 2.0  # of the last increment that the next is thought to go at most
+FIRST = 0.02  # of the last increment that the next is thought to go, where its measure says nothing
 DENSE = 3.7  # cells that crack, over the root of the unknowns, up to which a dense system is quicker
 
 
@@ -77,7 +79,7 @@ class Equilibria:
         key = function, self.state.pool.cell.shape[0]
         if key not in self._compiled:
             began = clock.perf_counter()
-            self._compiled[key] = compilation.compiled(function.lower(self.model, *args))
+            self._compiled[key] = compilation.program(function, self.model, *args)
             self.compile_seconds += clock.perf_counter() - began
         return self._compiled[key](self.model, *args)
 
@@ -288,8 +290,7 @@ class Equilibria:
     def _make_room(self):
         pool = self.state.pool
         if int(pool.count) + TOGETHER > pool.cell.shape[0]:
-            spare = models.empty_pool(self.model, pool.cell.shape[0])
-            self.state = self.state._replace(pool=bands.joined(pool, spare))
+            self.state = models.with_room(self.model, self.state)
 
     def _extend(self, cells):
         """Take new cells into the equations, and book what they let go of."""
@@ -322,10 +323,6 @@ class Equilibria:
             old = self.pending
             both = lambda name, new: np.concatenate([getattr(old, name), new])  # noqa: E731
             self.pending = replace(old, place=both("place", place), modes=both("modes", modes), fall=both("fall", fall))
-
-
-MOST_AHEAD = 2.0  # of the last increment that the next is thought to go at most
-FIRST = 0.02  # of the last increment that the next is thought to go, where its measure says nothing
 
 
 def _along(change, direction):

@@ -67,6 +67,7 @@ class Follower:
     by_energy: int = 0  # increments under control of energy or gauge
     began: float = 0.0  # time at which energy took control, s
     bridges: list = field(default_factory=list)  # time (s), energy (N·mm) of each
+    span: float = np.inf  # time of the last increment, s
 
     def __post_init__(self):
         self.size = {"load": self.first}
@@ -109,7 +110,7 @@ class Follower:
         eq = self.equilibria
         opened = eq.open_critical()
         size = min(self.size["load"], until - self.time)
-        size = max(min(size, self._span * eq.reach_to_onset()), self.smallest)
+        size = max(min(size, self.span * eq.reach_to_onset()), self.smallest)
         size = until - self.time if size > 0.7 * (until - self.time) else size
         while True:
             size = min(size, until - self.time)
@@ -126,7 +127,7 @@ class Follower:
                 size = max(share * size, self.smallest)
                 continue
             self._accept(trial, "load", size)
-            self.time, self._span = self.time + size, size
+            self.time, self.span = self.time + size, size
             return True
 
     def _stable(self, trial):
@@ -136,8 +137,6 @@ class Follower:
         other = self.equilibria.switched(trial)
         self.switches.append((self.time, other is not None))
         return other
-
-    _span = np.inf  # time of the last increment, s
 
     def _at_rest(self):
         """Equilibrium of cells that have just cracked, under the same loads."""
@@ -260,7 +259,7 @@ class Follower:
             self.line, self.time = None, line.times[-1]
         elif self.control == "time" and line.factor > 0 and change > 0 and line.increments >= STAY:
             self.line = None
-            self._span, self.size["load"] = np.inf, self.first
+            self.span, self.size["load"] = np.inf, self.first
 
     _sense = 1.0  # which way the gauge goes
 
@@ -276,4 +275,4 @@ class Follower:
         energy, time = bridge.cross(self, until)
         self.bridges.append((self.time, energy))
         self.time, self.line = time, None
-        self._span, self.size["load"] = np.inf, self.first
+        self.span, self.size["load"] = np.inf, self.first

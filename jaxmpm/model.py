@@ -99,6 +99,7 @@ class Fields(NamedTuple):
     mass: jax.Array  # lumped, tonne, (nx+1, ny+1)
     mobility: jax.Array  # 1/mass where free, else 0, (2, nx+1, ny+1)
     relaxation: jax.Array | None  # time, s, that makes a viscous stress of the rate of an elastic one
+    inertia: jax.Array | None  # of each mode of mean strain of a periodic cell, tonne·mm², (3,)
 
 
 def fields(model):
@@ -115,7 +116,8 @@ def fields(model):
     mobility = model.free * jnp.where(mass > 0, 1 / jnp.where(mass > 0, moved, 1.0), 0.0)
     hourglass = grid.hourglass_stiffness(direct, shear)
     relaxation = None if model.viscosity is None else model.viscosity * undamped_time_step(model)
-    return Fields(direct, cross, shear, hourglass, laws, mass, mobility, relaxation)
+    inertia = None if model.macro is None else periodic.inertia(mass, n.cell)
+    return Fields(direct, cross, shear, hourglass, laws, mass, mobility, relaxation, inertia)
 
 
 def stable_time_step(model):
@@ -173,6 +175,12 @@ def kinetic_energy(model, mass, velocity):
 def empty_pool(model, capacity):
     """A pool of bands for this model, without bands."""
     return bands.empty_pool(capacity, model.numerics.size, model.free.dtype)
+
+
+def with_room(model, state):
+    """A state with room for twice as many bands."""
+    spare = empty_pool(model, state.pool.cell.shape[0])
+    return state._replace(pool=bands.joined(state.pool, spare))
 
 
 def cell_strain_vectors(mean, cells, size):

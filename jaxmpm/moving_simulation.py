@@ -124,8 +124,7 @@ class MovingSimulation:
         while int(self.state.step) < until:
             state = self.state
             if state.pool is not None and bool(explicit.needs_room(state)):
-                spare = models.empty_pool(self.total, state.pool.cell.shape[0])
-                self.state = state._replace(pool=bands.joined(state.pool, spare))
+                self.state = models.with_room(self.total, state)
             if bool(state.room.slots) or bool(state.room.window):
                 self._make_room()
             function = self.compiled(moving.advance, jnp.int32(0))

@@ -96,11 +96,10 @@ def move(model, prepared, state, internal, dt):
         slow = model.damping * jnp.abs(pull) * jnp.sign(rate) * (1 - macro.driven)
         push, pull = push - drag, pull - slow
     fluctuation = wrap(own + (dt * prepared.mobility) * push)
-    heavy = inertia(prepared.mass, cell)
     wanted = (macro.strain * macro.load.amplitude((state.step + 1) * dt) - mean(state.displacement, cell)) / dt
-    after = jnp.where(macro.driven > 0, wanted, rate + dt * pull / heavy)
+    after = jnp.where(macro.driven > 0, wanted, rate + dt * pull / prepared.inertia)
     strained, shaken = 0.5 * dt * (rate + after), 0.5 * dt * (own + fluctuation)
-    work = (macro.driven * (resists + heavy * (after - rate) / dt)) @ strained
+    work = (macro.driven * (resists + prepared.inertia * (after - rate) / dt)) @ strained
     if model.damping is not None:
         lost = jnp.vdot(drag * model.free, shaken) + slow @ strained
     velocity = fluctuation + _affine(after, fluctuation, cell)

@@ -18,6 +18,7 @@ from jaxmpm.stiffness import held_at
 
 PER_ROW = 2  # increments for each row of the history where their number is not known before
 DONE = 1 - 1e-9  # of the duration
+ENERGY_LIMIT = 0.01  # of the energy: what an error may be where the scene says nothing
 
 
 @dataclass
@@ -160,6 +161,3 @@ class QuasiStatic(Simulation):
             "bridge_energy": float(sum(energy for _, energy in follower.bridges)),
             "switches": sum(found for _, found in follower.switches), "by_energy": follower.by_energy,
         }  # fmt: skip
-
-
-ENERGY_LIMIT = 0.01  # of the energy: what an error may be where the scene says nothing

@@ -5,44 +5,19 @@ import signal
 import time as clock
 from pathlib import Path
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
-from jaxmpm import results, walls
-from jaxmpm.errors import RunError, SceneError, written
-from jaxmpm.homogenise import homogenised
+from jaxmpm import restart, results, walls
+from jaxmpm.errors import RunError, SceneError
 from jaxmpm.moving_simulation import MOVING_FIELDS, MovingSimulation
 from jaxmpm.progress import Progress
 from jaxmpm.quasistatic import QuasiStatic
 from jaxmpm.scene import Scene
 from jaxmpm.simulation import ERROR_LIMIT, FRAME_FIELDS, Simulation
+from jaxmpm.summary import ENERGIES, summarise
 from jaxmpm.vtkhdf import PointCloudWriter, read_frame, read_frames
 
 CHECKPOINT_SECONDS = 10.0  # wall time between restart files
-ENERGIES = (
-    "external_work", "stored_energy", "kinetic_energy", "dissipated_energy", "damping_work",
-    "contact_work",
-)  # fmt: skip
-
-
-def difference(before, now, path=""):
-    """The first key in which two scenes differ, and both its values, for a message."""
-    if type(before) is type(now) and isinstance(now, dict | list) and before != now:
-        keys = [*before, *now] if isinstance(now, dict) else range(max(len(before), len(now)))
-        absent = "absent"
-        for key in keys:
-            pair = [_item(tree, key, absent) for tree in (before, now)]
-            if pair[0] != pair[1]:
-                return difference(*pair, f"{path}.{key}" if path else str(key))
-    return f"{path} was {written(before)} and is {written(now)}"
-
-
-def _item(tree, key, absent):
-    try:
-        return tree[key]
-    except (KeyError, IndexError):
-        return absent
 
 
 def energy_error(reading, floor: float = 0.0) -> float:
@@ -130,7 +105,7 @@ class Recorder:
         self.progress.close()
         self.history.close()
         self.cloud.close()
-        summary = self.summary(status)
+        summary = summarise(self, status)
         results.write_summary(self.directory, summary)
         self._pictures()
         if error is not None:
@@ -152,7 +127,7 @@ class Recorder:
             if self._framed(sample):
                 self._frame(reading)
             self.done = sample
-            self._keep()
+            self.keep()
             self.progress.show(self)
             if self._hand_over(reading, error):
                 sim = self.sim
@@ -234,11 +209,11 @@ class Recorder:
         )
         self.progress.say(self.messages[-1])
         self.cloud = _with_fields(self.cloud, self.directory / "result.vtkhdf", self.scene.grid.cell)
-        self._keep()
+        self.keep()
         self.save()
         return True
 
-    def _keep(self):
+    def keep(self):
         """What a restart file would hold now: things that belong together."""
         meta = json.loads(json.dumps(self.sim.meta())) if self.moves or self.static else None
         self.safe = (self.sim.state, self.done, self.frames, self.most, meta)
@@ -262,16 +237,16 @@ class Recorder:
     # -- files ---------------------------------------------------------------------------------
 
     def _open_files(self, resume):
-        restart = self.directory / "restart.h5"
+        kept = self.directory / restart.NAME
         history, cloud = self.directory / "history.csv", self.directory / "result.vtkhdf"
-        if resume and restart.exists():
-            self._restore(restart)
+        if resume and kept.exists():
+            restart.restore(self)
             self.history = results.History.reopen(history, self.columns, self.done + 1)
             known = results.read_history(history)
             self.rows = np.stack([known[name] for name, _ in self.columns], axis=1).tolist()
             self.cloud = PointCloudWriter.reopen(cloud, self.frames)
             return
-        restart.unlink(missing_ok=True)
+        kept.unlink(missing_ok=True)
         (self.directory / "summary.json").unlink(missing_ok=True)
         (self.directory / "scene.json").write_text(json.dumps(self.scene.to_dict(), indent=1))
         self.history = results.History.create(history, self.columns)
@@ -279,44 +254,8 @@ class Recorder:
 
     def save(self):
         """Write the restart file, as of the last complete sample."""
-        if self.safe is None:
-            return
-        state, done, frames, most, moving = self.safe
-        leaves, _ = jax.tree_util.tree_flatten_with_path(state)
-        arrays = {_name(path): np.asarray(leaf) for path, leaf in leaves}
-        meta = {
-            "scene": self.scene.to_dict(),
-            "done": done,
-            "frames": frames,
-            "most_energy": most,
-            "wall_seconds": self.wall_seconds(),
-            "run_seconds": self.sim.run_seconds,
-            "handed_over": self.handed_over,
-            "messages": self.messages,
-            "moving": moving,
-        }
-        results.save_restart(self.directory / "restart.h5", arrays, meta)
-
-    def _restore(self, path):
-        arrays, meta = results.load_restart(path)
-        now = json.loads(json.dumps(self.scene.to_dict()))
-        if meta["scene"] != now:
-            raise results.ResultError(
-                f"{path}: the scene differs from the one that was interrupted "
-                f"({difference(meta['scene'], now)}); run it with the same scene and --set, or "
-                "without --resume to start anew"
-            )
-        if meta["moving"] is not None and not self.moves and not self.static:
-            self.sim = MovingSimulation.blank(self.sim)
-        leaves, tree = jax.tree_util.tree_flatten_with_path(self.sim.state)
-        names = [_name(path) for path, _ in leaves]
-        self.sim.state = jax.tree.unflatten(tree, [jnp.asarray(arrays[name]) for name in names])
-        if self.moves or self.static:
-            self.sim.resume(meta["moving"])
-        self.handed_over, self.messages = meta["handed_over"], meta["messages"]
-        self.done, self.frames, self.most = meta["done"], meta["frames"], meta["most_energy"]
-        self._keep()
-        self.wall_before, self.sim.run_seconds = meta["wall_seconds"], meta["run_seconds"]
+        if self.safe is not None:
+            restart.save(self)
 
     def _pictures(self):
         from jaxmpm import plot
@@ -343,73 +282,10 @@ class Recorder:
         rows = np.asarray(self.rows).reshape(-1, len(self.columns))
         return {name: rows[:, k] for k, (name, _) in enumerate(self.columns)}
 
-    def response(self) -> tuple[np.ndarray, np.ndarray]:
-        """Load and displacement of every sample, as the scene names them."""
-        table, response = self.table(), self.scene.response
-        return table[response.load], table[response.displacement]
-
-    def kinetic_share(self, sample: int) -> float | None:
-        """Kinetic energy over the stored one at a sample: small where a response is quasi-static."""
-        names = [name for name, _ in self.columns]
-        stored, kinetic = (self.rows[sample][names.index(name)] for name in ("stored_energy", "kinetic_energy"))
-        return kinetic / stored if stored > 0 else None
-
     def units(self) -> tuple[str, str]:
         """Units of the response's load and displacement."""
         units = dict(self.columns)
         return units[self.scene.response.load], units[self.scene.response.displacement]
-
-    def frame_name(self) -> str:
-        """The frame of the run, in words."""
-        if not self.moves:
-            return "total"
-        return "updated" if self.handed_over is None else "total, then updated"
-
-    def summary(self, status: str) -> dict:
-        """The run in numbers: N, mm, N·mm, s."""
-        sim, scene = self.sim, self.scene
-        last = dict(zip((name for name, _ in self.columns), self.rows[-1])) if self.rows else {}
-        steps = int(sim.state.step) + (sim.steps_before if self.moves else 0)
-        cells = int((sim.layout.material >= 0).sum())
-        out = {
-            "scene": scene.name, "title": scene.title, "status": status,
-            "cell_size": scene.grid.cell, "thickness": scene.grid.thickness,
-            "cells": cells, "can_crack": self.can_crack, "cracked": sim.cracked(), "steps": steps, "frame": self.frame_name(),
-        }  # fmt: skip
-        if scene.mesostructure:
-            out["phases"] = sim.layout.shares()
-        if self.moves:
-            out |= {"points": sim.count(), "points_left": sim.left, "hand_over_time": self.handed_over}
-            out |= {"messages": self.messages}
-        if self.static:
-            out |= {"quasistatic": sim.report(), "messages": self.messages}
-        if scene.response and self.rows:
-            load, displacement = self.response()
-            peak = int(np.nanargmax(np.abs(load))) if np.isfinite(load).any() else 0
-            out["response"] = scene.response.model_dump(include={"load", "displacement"})
-            out["load_unit"], out["displacement_unit"] = self.units()
-            out |= {"peak_load": load[peak], "displacement_at_peak": displacement[peak]}
-            out |= {"final_load": load[-1], "final_displacement": displacement[-1]}
-            if not self.static:
-                out["kinetic_share_at_peak"] = self.kinetic_share(peak)
-            if reference := scene.response.reference:
-                out["reference"] = reference.file
-                if reference.is_band:
-                    out["reference_inside"] = reference.share_inside(displacement, load)
-        if scene.macro and self.rows:
-            out["homogenised"] = homogenised(scene, self.table())
-        out |= {name: last.get(name) for name in (*ENERGIES, "energy_error", "time")}
-        worst = max((abs(row[-2]) for row in self.rows), default=None)
-        return out | {
-            "largest_energy_error": worst,
-            "time_step": sim.dt, "stable_time_step": sim.stable_dt,
-            "time_step_factor": scene.solver.time_step_factor,
-            "wall_seconds": self.wall_seconds(), "run_seconds": sim.run_seconds,
-            "compile_seconds": sim.compile_seconds,
-            "ms_per_step": 1e3 * sim.run_seconds / max(steps, 1),
-            "cell_steps_per_second": cells * steps / sim.run_seconds if sim.run_seconds else None,
-            "precision": scene.solver.precision, "device": jax.devices()[0].device_kind,
-        }  # fmt: skip
 
 
 def _with_fields(cloud, path, cell):
@@ -425,10 +301,6 @@ def _with_fields(cloud, path, cell):
             new.write(time, points + frame["displacement"], frame)
     aside.replace(path)
     return PointCloudWriter.reopen(path, count)
-
-
-def _name(path) -> str:
-    return jax.tree_util.keystr(path, simple=True, separator=".")
 
 
 class terminate_as_interrupt:

@@ -2,13 +2,15 @@
 
 import math
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from jaxmpm.errors import Problems, at, did_you_mean, written
+from jaxmpm.scene_check_macro import check_macro
 from jaxmpm.scene_check_mesostructure import check_mesostructure
 from jaxmpm.scene_check_moving import check_moving
 from jaxmpm.scene_check_quasistatic import check_quasistatic
+from jaxmpm.scene_tables import entries
 
 # ---- types and ranges: from the validator's findings and the scene's own JSON schema
 
@@ -159,22 +161,14 @@ def check(tree: dict[str, Any], problems: Problems) -> None:
     _check_names(tree, problems)
     _check_response(tree, problems)
     _check_grid(tree, problems)
-    for name, material in _entries(tree, "materials"):
+    for name, material in entries(tree, "materials"):
         _check_band(tree, name, material, problems)
     _check_one_law(tree, problems)
     _check_something_happens(tree, problems)
     check_moving(tree, problems)
-    _check_macro(tree, problems)
+    check_macro(tree, problems)
     check_mesostructure(tree, problems)
     check_quasistatic(tree, problems)
-
-
-def _entries(tree: dict, key: str) -> Iterator[tuple[Any, dict]]:
-    group = tree.get(key)
-    if isinstance(group, list | tuple):
-        group = dict(enumerate(group))
-    items = group.items() if isinstance(group, dict) else ()
-    return ((name, item) for name, item in items if isinstance(item, dict))
 
 
 def _names(tree: dict, key: str) -> list[str] | None:
@@ -200,7 +194,7 @@ def _check_names(tree: dict, problems: Problems) -> None:
     users = ("supports", "displacements", "forces", "gauges")
     uses += [(user, "set", "sets", "the name of a node set") for user in users]
     for user, key, group, what in uses:
-        for entry, item in _entries(tree, user):
+        for entry, item in entries(tree, user):
             word = item.get(key)
             known = _names(tree, group)
             if isinstance(word, str) and known is not None and word not in known:
@@ -211,7 +205,7 @@ _LOADS, _DISPLACEMENTS = ("reaction", "mean_stress"), ("displacement", "relative
 
 
 def _check_response(tree: dict, problems: Problems) -> None:
-    kinds = {name: str(gauge.get("kind")) for name, gauge in _entries(tree, "gauges")}
+    kinds = {name: str(gauge.get("kind")) for name, gauge in entries(tree, "gauges")}
     response = tree.get("response")
     for key in ("load", "displacement"):
         word = response.get(key) if isinstance(response, dict) else None
@@ -308,7 +302,7 @@ def _largest_size(material: dict) -> tuple[float, str, str] | None:
 def _check_one_law(tree: dict, problems: Problems) -> None:
     """All bands of a scene are answered together: by one law, whose parameters may differ."""
     first = None
-    for name, material in _entries(tree, "materials"):
+    for name, material in entries(tree, "materials"):
         band = material.get("band")
         if not isinstance(band, dict):
             continue
@@ -324,54 +318,16 @@ def _check_one_law(tree: dict, problems: Problems) -> None:
 
 
 def _check_something_happens(tree: dict, problems: Problems) -> None:
-    loads = [item for key in ("displacements", "forces") for _, item in _entries(tree, key)]
+    loads = [item for key in ("displacements", "forces") for _, item in entries(tree, key)]
     loads += [tree["macro"]] if isinstance(tree.get("macro"), dict) else []
     values = []
     for load in loads:
         history = load.get("history")
         values.append(history.get("value") if isinstance(history, dict) else None)
-    values += [body.get("velocity", [0.0]) for _, body in _entries(tree, "bodies")]
+    values += [body.get("velocity", [0.0]) for _, body in entries(tree, "bodies")]
     values.append(tree.get("gravity", [0.0]))
     # Whatever is no list of numbers is reported elsewhere and may well be meant to move.
     if all(isinstance(v, list | tuple) and all(item == 0 for item in v) for v in values):
         what = "a displacement, a force, gravity or an initial velocity other than zero"
         advice = "as it stands nothing happens"
         problems.add(("displacements",), what, advice)
-
-
-def _check_macro(tree: dict, problems: Problems) -> None:
-    """A representative volume is driven by its mean strain alone."""
-    macro = tree.get("macro")
-    if not isinstance(macro, dict):
-        for name, gauge in _entries(tree, "gauges"):
-            if str(gauge.get("kind")).startswith("mean_"):
-                problems.add(("gauges", name, "kind"), "another kind, or a table [macro]", "it drives the mean strain")
-        return
-    for key in ("supports", "displacements", "forces"):
-        if tree.get(key):
-            problems.add((key,), "none with [macro]", "the mean strain is all that drives the volume")
-    if any(value != 0 for value in tree.get("gravity") or ()):
-        problems.add(("gravity",), "none with [macro]")
-    for i, body in _entries(tree, "bodies"):
-        if any(value != 0 for value in body.get("velocity") or ()):
-            problems.add(("bodies", i, "velocity"), "none with [macro]", "the mean strain is all that drives the volume")
-    for side, kind in _entries_of(tree.get("grid"), "walls"):
-        if kind != "stop":
-            problems.add(("grid", "walls", side), '"stop" with [macro]')
-    solver = tree.get("solver")
-    if isinstance(solver, dict) and solver.get("frame") == "updated":
-        problems.add(("solver", "frame"), '"auto" or "total" with [macro]')
-    strain = macro.get("strain")
-    if not isinstance(strain, dict):
-        return
-    driven = {name for name in ("xx", "yy", "xy") if strain.get(name) is not None}
-    if not driven or not any(strain[name] != 0 for name in driven):
-        problems.add(("macro", "strain"), "at least one of xx, yy, xy other than zero")
-    if "xy" in driven and len(driven) < 3 and macro.get("boundary", "edges") == "edges":
-        what = "xx and yy too where edges are sheared, which moves them both ways"
-        problems.add(("macro", "strain"), what, 'or macro.boundary = "periodic"')
-
-
-def _entries_of(tree, key: str) -> Iterator[tuple[Any, Any]]:
-    group = tree.get(key) if isinstance(tree, dict) else None
-    return iter(group.items() if isinstance(group, dict) else ())

@@ -3,11 +3,12 @@
 from typing import Any
 
 from jaxmpm.errors import Problems, written
+from jaxmpm.scene_tables import table_of
 
 
 def check_mesostructure(tree: dict[str, Any], problems: Problems) -> None:
     """Add a line for each name that names nothing and each value that does not go with another."""
-    materials = {k: m for k, m in _table(tree, "materials").items() if isinstance(m, dict)}
+    materials = {k: m for k, m in table_of(tree, "materials").items() if isinstance(m, dict)}
     _check_scatter(tree, materials, problems)
     table = tree.get("mesostructure")
     if not isinstance(table, dict):
@@ -15,7 +16,7 @@ def check_mesostructure(tree: dict[str, Any], problems: Problems) -> None:
     _check_body(tree, table, problems)
     for key in ("inclusion", "interface"):
         _check_material(("mesostructure", key), table.get(key), tree, problems)
-    labels = _table(_table(table, "image"), "labels")
+    labels = table_of(table_of(table, "image"), "labels")
     for value, word in labels.items():
         _check_material(("mesostructure", "image", "labels", value), word, tree, problems)
     if "image" in table:
@@ -38,7 +39,7 @@ def _check_scatter(tree, materials, problems) -> None:
 
 
 def _check_total(tree, path, otherwise, problems) -> None:
-    frame = _table(tree, "solver").get("frame", "auto")
+    frame = table_of(tree, "solver").get("frame", "auto")
     if frame == "updated" or (frame == "auto" and not tree.get("macro")):  # a volume that strains hands nothing over
         advice = 'or solver.frame = "total": points that move have the numbers of their material'
         problems.add(path, f"{otherwise} with solver.frame = {written(frame)}", advice)
@@ -83,7 +84,7 @@ def _check_inclusions(tree, table, problems) -> None:
 
 def _check_resolved(tree, table, problems) -> None:
     """Inclusions and interfaces must not be lost between the middles of cells."""
-    cell = _positive(_table(tree, "grid").get("cell"))
+    cell = _positive(table_of(tree, "grid").get("cell"))
     thickness = _positive(table.get("interface_thickness"))
     if cell is None:
         return
@@ -91,7 +92,7 @@ def _check_resolved(tree, table, problems) -> None:
         advice = 'or mesostructure.sampling = "mixed", for layers thinner than a cell'
         path = ("mesostructure", "interface_thickness")
         problems.add(path, f"at least a cell, {cell:g} mm, where cells are what their middle is", advice)
-    grading = _table(_table(table, "inclusions"), "grading")
+    grading = table_of(table_of(table, "inclusions"), "grading")
     key, smallest = "smallest", grading.get("smallest")
     if isinstance(grading.get("size"), list | tuple) and grading["size"]:
         key, smallest = "size", grading["size"][0]
@@ -104,8 +105,3 @@ def _check_resolved(tree, table, problems) -> None:
 def _positive(value) -> float | None:
     number = isinstance(value, int | float) and not isinstance(value, bool)
     return value if number and value > 0 else None
-
-
-def _table(tree: dict, key: str) -> dict:
-    value = tree.get(key, {})
-    return value if isinstance(value, dict) else {}

@@ -3,16 +3,17 @@
 from typing import Any
 
 from jaxmpm.errors import Problems, written
+from jaxmpm.scene_tables import table_of
 
 
 def check_moving(tree: dict[str, Any], problems: Problems) -> None:
     """Add a line for each choice of points, contact and frame that does not go with the others."""
-    solver, points, contact = (_table(tree, key) for key in ("solver", "points", "contact"))
+    solver, points, contact = (table_of(tree, key) for key in ("solver", "points", "contact"))
     frame = solver.get("frame", "auto")
-    materials = {k: m for k, m in _table(tree, "materials").items() if isinstance(m, dict)}
+    materials = {k: m for k, m in table_of(tree, "materials").items() if isinstance(m, dict)}
     _check_bulk(materials, frame, problems)
-    neo = any(_table(m, "bulk").get("law") == "neo_hookean" for m in materials.values())
-    if neo and _table(tree, "grid").get("stress_state") == "plane_stress":
+    neo = any(table_of(m, "bulk").get("law") == "neo_hookean" for m in materials.values())
+    if neo and table_of(tree, "grid").get("stress_state") == "plane_stress":
         problems.add(("grid", "stress_state"), '"plane_strain" with law "neo_hookean"')
     cracks = [name for name, material in materials.items() if material.get("band")]
     shape = points.get("shape", "gimp")
@@ -43,7 +44,7 @@ def _check_unused(tree: dict[str, Any], frame: str, problems: Problems) -> None:
     """What is set but does nothing; a default, as in the scene of a run, does no harm."""
     from jaxmpm.scene import Points
 
-    points, contact = _table(tree, "points"), _table(tree, "contact")
+    points, contact = table_of(tree, "points"), table_of(tree, "contact")
     for key, known in Points.model_fields.items():
         if frame == "total" and key in points and points[key] != known.default:
             advice = 'or solver.frame = "auto" or "updated"'
@@ -56,10 +57,6 @@ def _check_unused(tree: dict[str, Any], frame: str, problems: Problems) -> None:
     if contact.get("kind", "stick") == "stick" and contact.get("friction", 0.3) != 0.3:
         problems.add(("contact", "friction"), "none where bodies stick", 'or contact.kind = "friction"')
 
-
-def _table(tree: dict, key: str) -> dict:
-    value = tree.get(key, {})
-    return value if isinstance(value, dict) else {}
 
 
 def _check_bulk(materials: dict, frame: str, problems: Problems) -> None:

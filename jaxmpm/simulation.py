@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmpm import bands, compilation, explicit, model as models, observe, walls
+from jaxmpm import compilation, explicit, model as models, observe, walls
 from jaxmpm.errors import RunError, SceneError, written
 from jaxmpm.layout import lay_out
 from jaxmpm.scene import Scene
@@ -81,8 +81,7 @@ class Simulation:
         """Advance to step `until`; raises RunError where a band cannot be solved."""
         while int(self.state.step) < until:
             if bool(explicit.needs_room(self.state)):
-                spare = models.empty_pool(self.model, self.state.pool.cell.shape[0])
-                self.state = self.state._replace(pool=bands.joined(self.state.pool, spare))
+                self.state = models.with_room(self.model, self.state)
             function = self.compiled(explicit.advance)
             began = clock.perf_counter()
             self.state = function(self.model, self.state, self._dt(), jnp.int32(until))

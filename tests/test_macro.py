@@ -131,6 +131,7 @@ def test_mean_stress_is_the_mean_of_the_cells_stress():
         ({"supports": [{"set": "left", "fix": ["x"]}]}, "supports.*none with \\[macro\\]"),
         ({"gravity": [0.0, -9810.0]}, "gravity.*none with \\[macro\\]"),
         ({"bodies": [{"name": "all", "material": "one", "velocity": [9.0, 0.0], "shapes": [WHOLE]}]}, "bodies.0.velocity.*none"),
+        ({"gravity": 9.81}, "gravity = 9.81: expected a list of 2"),
         ({"solver": {"duration": 1e-3, "frame": "updated"}}, 'solver.frame = "updated".*with \\[macro\\]'),
         ({"macro": None}, "gauges.stress_xx.kind.*a table \\[macro\\]"),
         ({"response": {"load": "strain_xx", "displacement": "strain_xx"}}, "response.load = .strain_xx"),
