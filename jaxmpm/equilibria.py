@@ -20,6 +20,7 @@ from jaxmpm.condensed import GRIP, Condensed
 from jaxmpm.full_system import Full
 from jaxmpm.increment import Counts, Move, Pending, Point, Trial
 from jaxmpm.newton import Control, Found, Newton
+from jaxmpm.laws.balance import RESTS
 from jaxmpm.stiffness import MEAN, MODES, Structure, loads_of
 
 OVERSHOOT = 0.02  # of the strength: by how much a cell may be beyond onset at the end of an increment
@@ -28,7 +29,7 @@ SIDEWAYS = (0.05, -0.05, 0.3, -0.3, 2.0, -2.0)  # steps along the softest mode, 
 BROKEN = 40.0  # softening p of a band that is as good as broken
 MOST_AHEAD = 2.0  # of the last increment that the next is thought to go at most
 FIRST = 0.02  # of the last increment that the next is thought to go, where its measure says nothing
-DENSE = 3.7  # cells that crack, over the root of the unknowns, up to which a dense system is quicker
+DENSE = 15  # cells that crack, over the root of the unknowns, up to which a dense system is quicker
 
 
 class Equilibria:
@@ -246,6 +247,9 @@ class Equilibria:
         self.now = Point(
             found.amplitude, trial.displacement, found.strain, found.stress, trial.force, trial.ratio, spent, trial.energy
         )
+        if isinstance(self.system, Condensed) and len(cells):
+            rests = found.answers.status[: len(cells)] == RESTS
+            self.system.renew(found.strain, found.stress, found.answers.tangent[: len(cells)], rests)
         self.counts.increments += 1
         self.counts.iterations.append(len(found.history) - 1 if found.history else 0)
 

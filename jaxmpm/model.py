@@ -102,6 +102,7 @@ class Fields(NamedTuple):
     inertia: jax.Array | None  # of each mode of mean strain of a periodic cell, tonne·mm², (3,)
 
 
+@jax.jit
 def fields(model):
     """Stiffness, laws and mass as fields over the grid."""
     n = model.numerics
@@ -120,6 +121,7 @@ def fields(model):
     return Fields(direct, cross, shear, hourglass, laws, mass, mobility, relaxation, inertia)
 
 
+@jax.jit
 def stable_time_step(model):
     """Largest stable step (s) of the explicit scheme; viscosity ξ makes it √(1 + ξ²) − ξ times as long."""
     step = undamped_time_step(model)

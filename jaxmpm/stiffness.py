@@ -8,6 +8,7 @@ x the unknowns, aᵢ the amplitude of each load and pᵢ the displacement that i
 
 from dataclasses import dataclass, replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.sparse as sparse
@@ -169,7 +170,12 @@ def loads_of(model) -> tuple[Load, ...]:
 
 def amplitudes(model, time):
     """Amplitude of every load at a time (s), gravity last, (loads,)."""
-    return np.array([*(float(load.amplitude(time)) for load in loads_of(model)), 1.0])
+    return np.append(np.asarray(_amplitudes(loads_of(model), time), float), 1.0)
+
+
+@jax.jit
+def _amplitudes(loads, time):
+    return jnp.stack([load.amplitude(time) for load in loads]) if loads else jnp.zeros(0)
 
 
 def held_at(model, amplitude):
