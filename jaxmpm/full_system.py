@@ -1,14 +1,19 @@
 """Equilibrium of all nodes at once, by sparse matrices: for so many cracked cells that a dense system is slower.
 
-The same equations as in `condensed.py`, with the same methods; unknowns are those of the structure, residuals forces.
+The same equations as in `condensed.py`, with the same methods; unknowns are those of the structure, residuals forces. From
+step to step little of the matrix changes: the factors of an earlier one precondition GMRES (Y. Saad, M. Schultz, SIAM J. Sci. Stat.
+Comput. 7, 1986), and are made anew where that is slow, or where it is to be known whether the structure is stable.
 """
 
 import numpy as np
-import scipy.sparse as sparse
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import LinearOperator, gmres
 
 from jaxmpm.condensed import GRIP, INVERSE
-from jaxmpm.stiffness import MEAN, Structure, block_diagonal, factorised
+from jaxmpm.factors import Factors
+from jaxmpm.stiffness import MEAN, Structure, block_diagonal
+
+FORCING = 1e-4  # of a right side, that the solution may miss: Newton's next step makes it good
+MOST = 12  # steps of GMRES, after which new factors are quicker
 
 
 class Full:
@@ -17,7 +22,8 @@ class Full:
     def __init__(self, structure: Structure, cells=(), gauge=None):
         """Cracked cells are flat indices, a gauge a vector of weights (dofs,) of the displacement."""
         self.structure, self.cells = structure, np.zeros(0, int)
-        self.stable = None  # whether the structure was at the last step, under the loads as they were
+        self.factors = self.factored = self.matrix = None  # factors, of which matrix, and that of the last step
+        self.by_load = False  # whether the loads were as they were at the last step
         self.gauge = gauge if gauge is not None else np.zeros(structure.strain.shape[1])
         self.add(cells)
 
@@ -40,7 +46,7 @@ class Full:
         number = np.asarray(moves.multiply(moves).sum(0)).reshape(-1)
         if number.max() == 1:
             return moves.T @ own
-        return factorised(moves.T @ moves).solve(moves.T @ own)
+        return Factors(moves.T @ moves, self.structure.order).solve(moves.T @ own)
 
     def _whole(self, unknowns, amplitude):
         return self.structure.moves @ unknowns + self.structure.prescribed @ amplitude
@@ -73,48 +79,64 @@ class Full:
 
     def step(self, tangent, residual, direction=None, slopes=None, short=0.0):
         """Newton's change of the unknowns (m,) and of the load factor; arguments as in `Condensed.step`."""
-        structure, volume = self.structure, self.structure.volume
-        blocks = block_diagonal(volume * tangent)
-        self.stable = None
+        structure = self.structure
+        self._take(tangent)
+        self.by_load = direction is None
         try:
-            factors = factorised(self.reduced + self.across @ (blocks @ self.by_unknowns))
             if direction is None:
-                self.stable = positive(factors)
-                return factors.solve(-residual), 0.0
+                return self._solved(-residual), 0.0
             prescribed = structure.prescribed @ direction
             column = structure.moves.T @ (self.elastic @ prescribed - structure.force @ direction)
-            column += volume * (self.across @ (blocks @ (self.by_prescribed @ direction)))
+            column += self.across @ (self.blocks @ (self.by_prescribed @ direction))
             row, own = slopes
-            there, along = factors.solve(np.stack([-residual, -column], axis=1)).T
+            there, along = self._solved(-residual), self._solved(-column)
             factor = (short - row @ there) / (own + row @ along)
             return there + factor * along, factor
         except RuntimeError:  # singular
             return np.full_like(residual, np.nan), np.nan
 
+    def _take(self, tangent):
+        """The tangent stiffness with tangents (k, 3, 3) of the bands."""
+        self.blocks = block_diagonal(self.structure.volume * tangent)
+        self.matrix = (self.reduced + self.across @ (self.blocks @ self.by_unknowns)).tocsr()
+
+    def _factorise(self):
+        """Factors of this very matrix; raises RuntimeError where it is singular."""
+        if self.factored is not self.matrix:
+            self.factors, self.factored = Factors(self.matrix, self.structure.order), self.matrix
+        return self.factors
+
+    def _solved(self, right):
+        """Solution for a right side (m,), with the factors of an earlier matrix if they do."""
+        if self.factors is None or self.factored is self.matrix:
+            return self._factorise().solve(right)
+        inverse = LinearOperator(self.matrix.shape, self.factors.solve, dtype=float)
+        found, failed = gmres(self.matrix, right, rtol=FORCING, atol=0.0, restart=MOST, maxiter=1, M=inverse)
+        return self._factorise().solve(right) if failed else found
+
+    @property
+    def stable(self):
+        """Whether the structure was at the last step, under the loads as they were; None where nothing is said of it."""
+        if not self.by_load:
+            return None
+        try:
+            return self._factorise().positive
+        except RuntimeError:  # singular
+            return False
+
     def softest(self, tangent):
         """The change of the unknowns (m,) against which the structure is softest, and whether it is stable."""
-        blocks = block_diagonal(self.structure.volume * tangent)
-        try:
-            factors = factorised(self.reduced + self.across @ (blocks @ self.by_unknowns))
-        except RuntimeError:  # singular
-            return np.ones(len(self.reduced.indptr) - 1), False
+        self._take(tangent)
         mode = self.across @ np.ones(self.across.shape[1])
+        try:
+            factors = self._factorise()
+        except RuntimeError:  # singular
+            return np.ones(len(mode)), False
         for _ in range(INVERSE):
             mode = factors.solve(mode / np.abs(mode).max())
-        return mode / np.abs(self.by_unknowns @ mode).max(), positive(factors)
+        return mode / np.abs(self.by_unknowns @ mode).max(), factors.positive
 
     def displacement(self, unknowns, stress, amplitude):
         """Displacement (dofs,) of the whole structure."""
         return self._whole(unknowns, amplitude)
 
-
-def positive(factors):
-    """Whether the determinant of a sparse matrix is positive, from its LU factors."""
-    negative = np.count_nonzero(factors.U.diagonal() < 0)
-    return bool((negative + sum(_odd(order) for order in (factors.perm_r, factors.perm_c))) % 2 == 0)
-
-
-def _odd(order):
-    """1 where a permutation is odd, else 0."""
-    count, labels = connected_components(sparse.csr_matrix((np.ones(len(order)), (np.arange(len(order)), order))))
-    return (len(order) - count) % 2

@@ -12,10 +12,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.sparse as sparse
-from scipy.sparse.linalg import splu
 
 from jaxmpm import layout_macro
 from jaxmpm.errors import SceneError
+from jaxmpm.factors import Factors, dissection
 from jaxmpm.loads import Load
 from jaxmpm.model import fields
 
@@ -42,12 +42,6 @@ def strain_operator(shape, cell):
     return sparse.csr_matrix(entries, shape=(MODES * nx * ny, 2 * along_y))
 
 
-def factorised(matrix):
-    """LU factors of a matrix that is nearly symmetric, or symmetric in its pattern at least."""
-    options = {"SymmetricMode": True}
-    return splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=1e-3, options=options)
-
-
 @dataclass(eq=False)
 class Structure:
     """A model's elastic structure; build one with `Structure.of(model)`."""
@@ -62,7 +56,8 @@ class Structure:
     prescribed: np.ndarray  # pᵢ, mm per unit of the load's history, (dofs, loads)
     force: np.ndarray  # fᵢ, N per unit, (dofs, loads)
     free: np.ndarray  # where the force is what a load says and not a reaction, (dofs,)
-    solve: object  # K⁻¹ of the unknowns, (unknowns, k) -> (unknowns, k)
+    order: np.ndarray  # of elimination of the unknowns
+    factors: Factors  # of their stiffness
     response: np.ndarray  # uᵢ of the uncracked structure to a unit of each load, mm, (dofs, loads)
 
     @classmethod
@@ -81,15 +76,18 @@ class Structure:
         moves, free = _unknowns(model, np.asarray(prepared.mass))
         prescribed, force = _loads(model, np.asarray(prepared.mass))
         reduced = (moves.T @ stiffness @ moves).tocsc()
-        solve = _factorised_or_says_why(reduced)
-        unknowns = solve(moves.T @ (force - stiffness @ prescribed))
+        order = dissection(shape, moves)
+        factors = _factorised_or_says_why(reduced, order)
+        unknowns = factors.solve(moves.T @ (force - stiffness @ prescribed))
         response = moves @ unknowns + prescribed
         edge = n.cell * n.thickness
-        return cls(strain, elastic, hourglass, volume, edge, stiffness, moves, prescribed, force, free, solve, response)
+        return cls(
+            strain, elastic, hourglass, volume, edge, stiffness, moves, prescribed, force, free, order, factors, response
+        )
 
     def answer(self, force):
         """Displacement (dofs, k) of the uncracked structure under nodal forces (dofs, k), N, its loads at zero."""
-        return self.moves @ self.solve(self.moves.T @ force)
+        return self.moves @ self.factors.solve(self.moves.T @ force)
 
     def rows(self, cells, count=MODES):
         """Rows of S for the first `count` components of some cells, cell after cell, (count · k, dofs)."""
@@ -186,11 +184,11 @@ def held_at(model, amplitude):
     return replace(model, displacements=tuple(held[:first]), forces=tuple(held[first:second]), macro=macro)
 
 
-def _factorised_or_says_why(reduced):
-    """K⁻¹; SceneError where it is singular."""
+def _factorised_or_says_why(reduced, order):
+    """Factors of K; SceneError where it is singular."""
     try:
-        factors = factorised(reduced)
-        pivots = np.abs(factors.U.diagonal())
+        factors = Factors(reduced, order)
+        pivots = np.abs(factors.pivots)
     except RuntimeError:
         pivots = np.zeros(1)
     if not pivots.min() > SINGULAR * pivots.max():
@@ -198,4 +196,4 @@ def _factorised_or_says_why(reduced):
             'solver.kind = "quasistatic": expected supports that hold every body, but one can move without strain: '
             "add supports, or displacements with an angle as direction, until it cannot slide or turn"
         )
-    return factors.solve
+    return factors
