@@ -29,6 +29,8 @@ class Answers(NamedTuple):
     tangent: jax.Array  # of it by the in-plane strain, MPa, (capacity, 3, 3)
     spent: jax.Array  # energy that softening has taken, N·mm, (capacity,)
     spends: jax.Array  # how it grows with the strain, N·mm, (capacity, 3)
+    softens: jax.Array  # how the softening p does, (capacity, 3)
+    unknowns: jax.Array  # jump, mm, and softening, (capacity, dimension + 1)
     status: jax.Array  # (capacity,)
 
 
@@ -39,7 +41,7 @@ def answers(model, pool, strain) -> Answers:
     material = model.material.reshape(-1)
     table = jnp.zeros((capacity, 3), strain.dtype)
     none = jnp.zeros((capacity,), jnp.int32)
-    empty = Answers(pool.records, table, jnp.zeros((capacity, 3, 3), strain.dtype), table[:, 0], table, none)
+    empty = Answers(pool.records, table, jnp.zeros((capacity, 3, 3), strain.dtype), table[:, 0], table, table, table, none)
 
     def block(k, found):
         start = k * LANES
@@ -70,7 +72,8 @@ def _block(model, rows, material, strain, n):
     last = lambda a: jnp.moveaxis(a, -1, 0)  # noqa: E731
     return Answers(
         rows=new, stress=last(stress), tangent=last(tangent[plane][:, plane]),
-        spent=area * spent, spends=last(area * slope * by_strain[plane]), status=status,
+        spent=area * spent, spends=last(area * slope * by_strain[plane]),
+        softens=last(by_strain[plane]), unknowns=last(found.unknowns), status=status,
     )  # fmt: skip
 
 
@@ -83,27 +86,32 @@ def strains_of(pool, strain):
 
 @jax.jit
 def opened(model, prepared, state, strain, cells, new):
-    """The state with bands in those of `cells` (TOGETHER,) that are `new`, from the mean strains of all cells.
-
-    The strain stored as that of onset is scaled back to where the strength ratio is exactly 1.
-    """
+    """The state with bands in those of `cells` (TOGETHER,) that are `new`, from the mean strains of all cells."""
     n = model.numerics
-    elastic = explicit.intact_stress(prepared, state, strain, n.size)
-    borne = explicit.with_bands(elastic, state.place, state.pool.stress).mean
     cells = jnp.where(new, cells, cells[0])
-    normal = tensor.first_principal_direction(explicit.averaged(borne, cells, n.normal_window))
-    size = bands.effective_size(n.effective_size, normal, n.cell)
-    laws = bands.at(model.embedding, model.material.reshape(-1)[cells])
-    vectors = cell_strain_vectors(strain.mean, cells, n.size)
-    records = bands.unsolved(band_law.open_band(laws, vectors, normal, size), n.size)
-    own = jnp.stack([component.reshape(-1)[cells] for component in borne])
-    pool, places = bands.add(state.pool, records, cells, new, own)
+    band, own = fresh(model, prepared, state, strain, cells)
+    pool, places = bands.add(state.pool, bands.unsolved(band, n.size), cells, new, own)
     index = jnp.where(new, cells, state.intact.size)
     put = lambda field, value: field.reshape(-1).at[index].set(value, mode="drop").reshape(field.shape)  # noqa: E731
     return state._replace(
         intact=put(state.intact, 0.0), grip=put(state.grip, GRIP),
         place=put(state.place, places.astype(state.place.dtype)), pool=pool,
     )  # fmt: skip
+
+
+def fresh(model, prepared, state, strain, cells):
+    """Bands at onset for some cells, and the in-plane stress that these bear (3, j), MPa.
+
+    The strain stored as that of onset is scaled back to where the strength ratio is exactly 1.
+    """
+    n = model.numerics
+    elastic = explicit.intact_stress(prepared, state, strain, n.size)
+    borne = explicit.with_bands(elastic, state.place, state.pool.stress).mean
+    normal = tensor.first_principal_direction(explicit.averaged(borne, cells, n.normal_window))
+    size = bands.effective_size(n.effective_size, normal, n.cell)
+    laws = bands.at(model.embedding, model.material.reshape(-1)[cells])
+    vectors = cell_strain_vectors(strain.mean, cells, n.size)
+    return band_law.open_band(laws, vectors, normal, size), jnp.stack([component.reshape(-1)[cells] for component in borne])
 
 
 @jax.jit

@@ -136,6 +136,21 @@ class Condensed:
         was[places] = constant
         self._index()
 
+    def keep(self, count):
+        """Forget all but the first cells: those that cracked last are whole again."""
+        gone = np.arange(count, len(self.cells))
+        if not len(gone):
+            return
+        self._rebase(gone, self.weighted[gone], np.zeros((len(gone), MEAN)))
+        across, taken = self.flexibility[:, self.loose[2 * count :]].copy(), self.taken[2 * count :]
+        matrix = np.diag(1 / taken) + across[self.loose[2 * count :]]
+        _take_away(self.flexibility, across, np.linalg.solve(matrix, across.T))
+        rows = 1 + MODES * count
+        self.answers = (self.answers - across @ np.linalg.solve(matrix, self.answers[self.loose[2 * count :]]))[:rows]
+        self.flexibility, self.bare = self.flexibility[:rows, :rows], self.bare[:rows]
+        self.cells, self.secant, self.constant = self.cells[:count], self.secant[:count], self.constant[: MEAN * count]
+        self._index()
+
     # -- equations -------------------------------------------------------------------------------
 
     def unknowns(self, displacement, amplitude):
@@ -211,7 +226,7 @@ class Condensed:
         rest = row.copy()
         rest[own] = 0.0
         through = self._rows[:, self.mean] @ rest
-        active_row = row[own] - np.matmul(through.reshape(-1, 1, MEAN), change).reshape(-1)
+        active_row = row[own] - np.matmul(through.reshape(-1, 1, MEAN), change).reshape(len(own))
         along, short = along + rest @ column, short + rest @ residual
         scale = np.abs(active_row).max(initial=abs(along)) or 1.0  # of the last row: pivots are chosen by size
         matrix = np.block([[matrix, -column[own, None]], [active_row[None] / scale, np.array([[along / scale]])]])
@@ -238,7 +253,7 @@ class Condensed:
 
     def _all(self, active, change, right):
         """Unknowns (3k,) from those of the active cells: x + F (w D − w S) x = right."""
-        force = np.matmul(change, active.reshape(-1, MEAN, 1)).reshape(-1)
+        force = np.matmul(change, active.reshape(-1, MEAN, 1)).reshape(len(active))
         found = right - (force @ self._rows)[self.mean]
         found[self._own] = active
         return found
@@ -254,6 +269,26 @@ class Condensed:
             mode /= np.abs(mode).max()
             mode = self._all(_back(factors, mode[self._own]), change, mode)
         return mode / np.abs(mode).max(), stable
+
+    def adjoint(self, tangent, right):
+        """λ with Kᵀ λ = right, both of the unknowns of the structure (m,); K its tangent stiffness.
+
+        Tangents of the bands (k, 3, 3), MPa.
+        """
+        structure, moves = self.structure, self.structure.moves
+        found = structure.factors.solve(right)
+        if not len(self.cells):
+            return found
+        rows = structure.rows(self.cells)
+        seen = np.concatenate([np.zeros(1), rows @ (moves @ found)])
+        seen -= self.flexibility @ self._softened(seen[:, None])[:, 0]  # as in the base
+        matrix, change = self._matrix(tangent.swapaxes(1, 2))
+        active, _ = _solved(matrix, seen[self._mean_of(self.active)])
+        force = np.matmul(change, active.reshape(-1, MEAN, 1)).reshape(len(active))
+        seen -= force @ self._rows
+        lacks = self._softened(seen[:, None])[:, 0]
+        lacks[self._mean_of(self.active)] += force
+        return found - structure.factors.solve(moves.T @ (rows.T @ lacks[1:]))
 
     def displacement(self, unknowns, stress, amplitude):
         """Displacement (dofs,) of the whole structure."""
@@ -271,7 +306,7 @@ class Condensed:
 
 def _by_blocks(rows, blocks):
     """rows (r, 3a) times a block diagonal matrix of blocks (a, 3, 3)."""
-    return np.matmul(rows.reshape(len(rows), -1, 1, MEAN), blocks).reshape(len(rows), -1)
+    return np.matmul(rows.reshape(len(rows), len(blocks), 1, MEAN), blocks).reshape(rows.shape)
 
 
 def _take_away(matrix, left, right):

@@ -16,7 +16,7 @@ work). Local damping (`solver.damping`) leaps wherever a velocity changes sign, 
 without bound in it: it is refused. Viscosity does the same service smoothly.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
@@ -29,7 +29,7 @@ from jaxmpm import compilation, explicit, observe
 from jaxmpm import model as models
 from jaxmpm.errors import RunError, SceneError
 from jaxmpm.mesostructure.sampling import Local
-from jaxmpm.parameters import values_of, with_values
+from jaxmpm.parameters import OfMaterials
 from jaxmpm.scene import Scene
 from jaxmpm.simulation import Simulation
 
@@ -132,7 +132,7 @@ def _status(state, status):
 
 
 @dataclass(frozen=True)
-class Run:
+class Run(OfMaterials):
     """A scene made ready for `simulate`; call it with a model."""
 
     scene: Scene
@@ -181,21 +181,6 @@ class Run:
         model = self.model if model is None else model
         dt = jnp.asarray(self.dt, model.free.dtype)
         return simulate(model, self.state, dt, self.every, self.samples, reverse)
-
-    def with_values(self, values) -> models.Model:
-        """The model with other numbers of its materials, by name: {"concrete.ft": 3.1}."""
-        return models.with_local(with_values(self.named, self.materials, values), self.local)
-
-    def values(self, names) -> dict:
-        """Numbers of the scene's materials by name."""
-        return values_of(self.named, self.materials, names)
-
-    def by_cells(self) -> "Run":
-        """The same run with every cell a material of its own, its parameters leaves (cells,), cells in order.
-
-        For the derivative by a field: one run in reverse says what each cell would do for the answer.
-        """
-        return replace(self, model=models.by_cells(self.model), materials=())
 
     def compiled(self, function, *args):
         """`function` compiled for arguments like these, as the project compiles its steps."""

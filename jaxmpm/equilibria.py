@@ -35,7 +35,7 @@ DENSE = 15  # cells that crack, over the root of the unknowns, up to which a den
 class Equilibria:
     """A model, its last equilibrium, and the means to find the next."""
 
-    def __init__(self, model, state, tolerance, gauge=None):
+    def __init__(self, model, state, tolerance, gauge=None, tape=None):
         self.model, self.state, self.tolerance, self.gauge = model, state, tolerance, gauge
         self.prepared = jax.jit(models.fields)(model)
         self.structure = Structure.of(model)
@@ -47,6 +47,9 @@ class Equilibria:
         self.counts, self.pending, self.last = Counts(), None, None
         self.compile_seconds, self._compiled = 0.0, {}
         self.failed = None  # the last attempt that came to nothing
+        self.tape = tape  # of what happens, for the way back, or None
+        if tape is not None:
+            tape.of(self)
         self.restart(state)
 
     @cached_property
@@ -72,6 +75,8 @@ class Equilibria:
         spent = self.respond(strain).spent[: len(cells)] if len(cells) else np.zeros(0)
         force = self.structure.force_of(displacement, cells, stress, GRIP)
         energy = self._energy(displacement, strain, state.pool.records)
+        if self.tape is not None and len(cells):
+            self.tape.broken = True
         self.now = Point(amplitude, displacement, strain, stress, force, self._ratio(displacement), spent, energy)
         self.pending = self.last = None
 
@@ -93,7 +98,8 @@ class Equilibria:
         """`Answers` of all bands to the strains (3k,) of their cells."""
         pool = self.state.pool
         found = self._call(bands_static.answers, pool, bands_static.strains_of(pool, strain))
-        return jax.tree.map(np.asarray, found)
+        asked = ("stress", "tangent", "spent", "spends", "status")
+        return found._replace(**{name: np.asarray(getattr(found, name)) for name in asked})
 
     def _mean(self, displacement):
         n = self.model.numerics
@@ -250,6 +256,8 @@ class Equilibria:
         if isinstance(self.system, Condensed) and len(cells):
             rests = found.answers.status[: len(cells)] == RESTS
             self.system.renew(found.strain, found.stress, found.answers.tangent[: len(cells)], rests)
+        if self.tape is not None:
+            self.tape.keep(found, trial, len(cells))
         self.counts.increments += 1
         self.counts.iterations.append(len(found.history) - 1 if found.history else 0)
 
@@ -287,6 +295,8 @@ class Equilibria:
         listed = np.pad(cells, (0, TOGETHER - len(cells)), mode="edge")
         strain = self._mean(self.now.displacement)
         new = np.arange(TOGETHER) < len(cells)
+        if self.tape is not None:
+            self.tape.cracked(self.state, strain.mean, cells)
         self.state = self._call(bands_static.opened, self.prepared, self.state, strain, listed, new)
         self._extend(cells)
         return len(cells)

@@ -136,6 +136,17 @@ class Full:
             mode = factors.solve(mode / np.abs(mode).max())
         return mode / np.abs(self.by_unknowns @ mode).max(), factors.positive
 
+    def keep(self, count):
+        """Forget all but the first cells: those that cracked last are whole again."""
+        if count < len(self.cells):
+            self.cells = self.cells[:count]
+            self.add(())
+
+    def adjoint(self, tangent, right):
+        """λ with Kᵀ λ = right, both of the unknowns (m,); arguments as in `Condensed.adjoint`."""
+        self._take(tangent)
+        return self._factorise().solve_transposed(right)
+
     def displacement(self, unknowns, stress, amplitude):
         """Displacement (dofs,) of the whole structure."""
         return self._whole(unknowns, amplitude)

@@ -51,6 +51,8 @@ class Found:
     converged: bool = False
     flips: np.ndarray | None = None  # how often each band changed between rest and loading (k,)
     stable: bool = True  # under its loads: the structure would come back if it were disturbed
+    control: Control | None = None  # what was under control
+    direction: np.ndarray | None = None  # of the loads (loads,)
 
 
 class Newton:
@@ -87,6 +89,7 @@ class Newton:
             if since >= PATIENCE or now.error > WILD * best:
                 break
         now.history, now.flips = history, flips
+        now.control, now.direction = control, direction
         if now.converged and control.kind == "load" and self.system.stable is False:
             # said of the last iteration but one: look again
             now.stable = self.system.softest(now.answers.tangent[: len(self.system.cells)])[1]

@@ -7,7 +7,28 @@ import dataclasses
 
 import jax.numpy as jnp
 
+from jaxmpm import model as models
 from jaxmpm.errors import SceneError, near_or
+
+
+class OfMaterials:
+    """What has a model by names of its materials: `model`, `named` (the model before what is local made one of every
+    cell), `local` (what is, or None) and `materials` (names, in order)."""
+
+    def with_values(self, values) -> models.Model:
+        """The model with other numbers of its materials, by name: {"concrete.ft": 3.1}."""
+        return models.with_local(with_values(self.named, self.materials, values), self.local)
+
+    def values(self, names) -> dict:
+        """Numbers of the scene's materials by name."""
+        return values_of(self.named, self.materials, names)
+
+    def by_cells(self):
+        """The same run with every cell a material of its own, its parameters leaves (cells,), cells in order.
+
+        For the derivative by a field: one run in reverse says what each cell would do for the answer.
+        """
+        return dataclasses.replace(self, model=models.by_cells(self.model), materials=())
 
 
 def names_of(model, materials) -> list[str]:

@@ -29,10 +29,13 @@ class QuasiStatic(Simulation):
     messages: list = field(default_factory=list)  # not yet told
 
     @classmethod
-    def of(cls, scene: Scene) -> "QuasiStatic":
-        """Lay out a scene, build and factorise its elastic structure; raises SceneError."""
-        layout = lay_out(scene)
-        model = models.from_layout(scene, layout)
+    def of(cls, scene: Scene, layout=None, model=None, tape=None) -> "QuasiStatic":
+        """Lay out a scene, build and factorise its elastic structure; raises SceneError.
+
+        Layout and model may be given; an `adjoint.Tape` keeps what is needed for derivatives.
+        """
+        layout = lay_out(scene) if layout is None else layout
+        model = models.from_layout(scene, layout) if model is None else model
         state = models.first_state(model, layout.velocity)
         solver = scene.solver
         gauge = None
@@ -40,7 +43,7 @@ class QuasiStatic(Simulation):
             measured = next(g for g in layout.gauges if g.name == solver.control)
             gauge = np.zeros(model.free.size)
             np.add.at(gauge, measured.dofs, measured.weights)
-        equilibria = Equilibria(model, state, solver.tolerance, gauge)
+        equilibria = Equilibria(model, state, solver.tolerance, gauge, tape)
         shares = solver.first_increment, solver.smallest_increment, solver.largest_increment
         control = solver.control if gauge is None else "gauge"
         follower = Follower(equilibria, solver.duration, control, *(share * solver.duration for share in shares))
@@ -65,6 +68,7 @@ class QuasiStatic(Simulation):
     def at_rest(self) -> observe.Reading:
         """The reading at the start of the histories."""
         self.follower.begin()
+        self._stamp()
         self._take_over()
         return self.read()
 
@@ -77,10 +81,15 @@ class QuasiStatic(Simulation):
         try:
             while follower.time < DONE * target and not (self.open_ended and follower.equilibria.counts.increments >= last):
                 follower.increment(target)
+                self._stamp()
         finally:
             self._take_over()
             self._tell(bridges, switches)
             self.run_seconds += clock.perf_counter() - began
+
+    def _stamp(self):
+        if self.follower.equilibria.tape is not None:
+            self.follower.equilibria.tape.stamp(self.follower.time)
 
     def _take_over(self):
         self.state = self.follower.equilibria.state
