@@ -6,8 +6,9 @@ What depends on u through a function J does so on θ and q by
     dJ = (∂J/∂θ − λᵀ ∂r/∂θ) dθ + (∂J/∂q − λᵀ ∂r/∂q) dq,      Kᵀ λ = ∂J/∂u,      K = ∂r/∂u
 
 so that one linear system with the transposed tangent stiffness is solved for each increment, whatever the number of parameters.
-Where energy or a gauge is under control the load factor is one unknown more, and what is controlled one equation. Cells crack at
-fixed places of the path: derivatives are those of one order of events, as of runs in time (`differentiable.py`).
+Where energy or a gauge is under control the load factor is one unknown more, and what is controlled one equation. So it is where a
+cell is about to crack: its strength ratio stays what it was, and the loads follow. Derivatives are those of one order of events, as of
+runs in time (`differentiable.py`).
 """
 
 from dataclasses import dataclass, field
@@ -17,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxmpm import grid
-from jaxmpm.bands_adjoint import Answered, Lasting, elastic_pulled_back, onset_pulled_back, pulled_back
+from jaxmpm.bands_adjoint import Answered, Lasting, elastic_pulled_back, onset_pulled_back, pulled_back, ratio_slopes
 from jaxmpm.bands_static import TOGETHER
 from jaxmpm.condensed import GRIP, Condensed
 from jaxmpm.errors import RunError
@@ -128,17 +129,19 @@ class WayBack:
     def go(self, by_readings):
         """Derivatives by the laws (`Embedding`) from those by all readings (steps, gauges)."""
         events, left = self.tape.events, len(self.tape.steps)
-        previous = [None] + [e for e in events if isinstance(e, Step)]
+        previous, onset = [None, *self.tape.steps], None
         for event in reversed(events):
             if isinstance(event, Step):
                 left -= 1
-                self._step(event, previous[left], np.asarray(by_readings[left], float))
+                self._step(event, previous[left], np.asarray(by_readings[left], float), onset)
+                onset = None
             else:
                 self._onset(event)
+                onset = event
         by_cells = tuple(jnp.asarray(field, self.model.free.dtype) for field in self.elastic)
         return jax.tree.map(jnp.add, self.laws, elastic_pulled_back(self.model, by_cells))
 
-    def _step(self, step, before, by_reading):
+    def _step(self, step, before, by_reading, onset):
         structure, system, found, k = self.structure, self.system, step.found, step.cells
         by_force = by_reading @ self.tape.gauges.of_force
         by_displacement = self.displacement + by_reading @ self.tape.gauges.of_displacement
@@ -146,7 +149,7 @@ class WayBack:
         softens = np.asarray(found.answers.softens)[:k] if k else np.zeros((0, MEAN))
         by_strain = self.softening[:k, None] * softens + np.einsum("ki,kij->kj", self.stress[:k], tangent)
         whole = by_displacement + self._stiff(by_force, tangent) + self._spread(by_strain)
-        adjoint, by_spent = self._solved(step, tangent, whole, by_force)
+        adjoint, by_spent = self._solved(step, tangent, whole, by_force, onset)
         through = by_force - structure.moves @ adjoint
         seen = (self.rows @ through).reshape(-1, MODES)
         by_stress = structure.volume * seen[:k, :MEAN] + self.stress[:k]
@@ -172,29 +175,42 @@ class WayBack:
         padded[:, :MEAN] = by_strain
         return self.rows[: MODES * k].T @ padded.reshape(-1)
 
-    def _solved(self, step, tangent, whole, by_force):
+    def _solved(self, step, tangent, whole, by_force, onset):
         """λ of the unknowns (m,), and the derivatives by the energy that each band has spent (k,)."""
         structure, system, found, k = self.structure, self.system, step.found, step.cells
-        moves, direction, control = structure.moves, found.direction, found.control
+        moves, direction = structure.moves, found.direction
         system.keep(k)
         if isinstance(system, Condensed) and k:
             system.renew(found.strain, found.stress, tangent, found.answers.status[:k] == RESTS)
         there = system.adjoint(tangent, moves.T @ whole)
-        none = np.zeros(k)
-        if control is None or control.kind == "load":
-            return there, none
+        controlled, by_spent, by_laws = self._controlled(step, onset)
+        if controlled is None:
+            return there, by_spent
         along = structure.prescribed @ direction
         driven = self._stiff_forward(along, tangent) - structure.force @ direction
         slope = whole @ along - by_force @ (structure.force @ direction)
-        meant = control.among(np.ones(k))
-        if control.kind == "dissipation":
-            controlled = self._spread(meant[:, None] * found.answers.spends[:k])
-        else:
-            controlled = self.tape.equilibria.gauge
         back = system.adjoint(tangent, moves.T @ controlled)
         pull = moves.T @ driven
         factor = (pull @ there - slope) / (pull @ back - controlled @ along)
-        return there - factor * back, -factor * meant if control.kind == "dissipation" else none
+        if by_laws is not None:
+            self.laws = jax.tree.map(lambda total, own: total - factor * own, self.laws, by_laws)
+        return there - factor * back, -factor * by_spent
+
+    def _controlled(self, step, onset):
+        """How what fixed the load factor depends on displacements (dofs,), on what bands have spent (k,), and on the laws."""
+        found, k, control = step.found, step.cells, step.found.control
+        none = np.zeros(k)
+        if found.direction is None or not np.any(found.direction):
+            return None, none, None
+        if onset is not None:
+            cell = onset.cells[0]
+            rows = self.structure.rows([cell], MEAN)
+            by_laws, by_strain = ratio_slopes(self.model, jnp.asarray(rows @ step.displacement), jnp.int32(cell))
+            return rows.T @ np.asarray(by_strain), none, by_laws
+        if control.kind == "dissipation":
+            meant = control.among(np.ones(k))
+            return self._spread(meant[:, None] * found.answers.spends[:k]), meant, None
+        return (self.tape.equilibria.gauge, none, None) if control.kind == "gauge" else (None, none, None)
 
     def _stiff_forward(self, vector, tangent):
         """K times a vector (dofs,)."""

@@ -108,6 +108,17 @@ def onset_pulled_back(model, state, mean, cells, by: Lasting):
 
 
 @jax.jit
+def ratio_slopes(model, strain, cell):
+    """How the strength ratio r̂ of an intact cell (its flat index) depends on the model's laws and on its in-plane strain (3,)."""
+
+    def ratio(embedding, strain):
+        laws = bands.at(embedding, model.material.reshape(-1)[cell])
+        return laws.law.onset(laws.bulk.stress(tensor.from_plane(strain, model.numerics.size)), laws.bulk)
+
+    return jax.grad(ratio, (0, 1))(model.embedding, strain)
+
+
+@jax.jit
 def elastic_pulled_back(model, by):
     """Derivatives by the model's laws of what depends on the stiffness of cells.
 

@@ -117,7 +117,7 @@ class Equilibria:
         if not len(system.cells):
             amplitude = now.amplitude + control.target * direction
             displacement = self.structure.response @ amplitude
-            found = Found(np.zeros(0), control.target, amplitude, np.zeros(0), converged=True, error=0.0)
+            found = Found(np.zeros(0), control.target, amplitude, np.zeros(0), converged=True, error=0.0, control=control, direction=direction)
             return self._trial(found, displacement)
         ahead, factor = self._ahead(direction, control)
         guess = system.unknowns(now.displacement + ahead, now.amplitude + factor * direction)
