@@ -25,6 +25,8 @@ from jaxmpm.errors import RunError
 from jaxmpm.laws.balance import RESTS
 from jaxmpm.stiffness import MEAN, MODES
 
+FOLLOWS = True  # whether the loads at which a cell cracks follow from its strength, or stay as they were
+
 
 @dataclass
 class Step:
@@ -114,6 +116,8 @@ class WayBack:
         self.tape, self.model, self.structure, self.system = tape, eq.model, eq.structure, eq.system
         self.pool = eq.state.pool
         self.cells = np.asarray(self.pool.cell)[: int(self.pool.count)]
+        if len(self.system.cells) < len(self.cells):  # the way back has been gone before
+            self.system.add(self.cells[len(self.system.cells) :])
         self.rows = self.structure.rows(self.cells)  # of the strain operator, those of the cells that crack
         count, shape = len(self.cells), self.model.material.shape
         size = self.model.numerics.size
@@ -121,6 +125,7 @@ class WayBack:
         self.lasting = Lasting(np.zeros((2, count)), np.zeros(count), np.zeros((size, count)))
         self.displacement = np.zeros(self.model.free.size)
         self.stress = np.zeros((count, MEAN))
+        self.amplitude = np.zeros(self.structure.force.shape[1])  # of the loads, where they have stayed
         self.elastic = [np.zeros(shape) for _ in range(4)]
         self.laws = jax.tree.map(jnp.zeros_like, self.model.embedding)
         self.grip = np.ones(len(self.structure.hourglass))  # share of hourglass stiffness that cells have
@@ -185,10 +190,12 @@ class WayBack:
         there = system.adjoint(tangent, moves.T @ whole)
         controlled, by_spent, by_laws = self._controlled(step, onset)
         if controlled is None:
+            self.amplitude = self._by_amplitude(tangent, whole, by_force, moves @ there) if _stays(found) else 0 * self.amplitude
             return there, by_spent
         along = structure.prescribed @ direction
         driven = self._stiff_forward(along, tangent) - structure.force @ direction
-        slope = whole @ along - by_force @ (structure.force @ direction)
+        slope = whole @ along - by_force @ (structure.force @ direction) + self.amplitude @ direction
+        self.amplitude = 0 * self.amplitude
         back = system.adjoint(tangent, moves.T @ controlled)
         pull = moves.T @ driven
         factor = (pull @ there - slope) / (pull @ back - controlled @ along)
@@ -196,13 +203,19 @@ class WayBack:
             self.laws = jax.tree.map(lambda total, own: total - factor * own, self.laws, by_laws)
         return there - factor * back, -factor * by_spent
 
+    def _by_amplitude(self, tangent, whole, by_force, adjoint):
+        """Derivatives by the amplitudes (loads,) of an equilibrium at which they stay, in which they follow those before it."""
+        structure = self.structure
+        through = whole - self._stiff(adjoint, tangent)
+        return self.amplitude + structure.prescribed.T @ through - structure.force.T @ (by_force - adjoint)
+
     def _controlled(self, step, onset):
         """How what fixed the load factor depends on displacements (dofs,), on what bands have spent (k,), and on the laws."""
         found, k, control = step.found, step.cells, step.found.control
         none = np.zeros(k)
-        if found.direction is None or not np.any(found.direction):
+        if _stays(found):
             return None, none, None
-        if onset is not None:
+        if onset is not None and FOLLOWS:
             cell = onset.cells[0]
             rows = self.structure.rows([cell], MEAN)
             by_laws, by_strain = ratio_slopes(self.model, jnp.asarray(rows @ step.displacement), jnp.int32(cell))
@@ -262,3 +275,8 @@ class WayBack:
         count = int(onset.state.pool.count)
         self.stress[:count] += np.asarray(stress).T[:count]
         self.softening[place] = 0.0
+
+
+def _stays(found):
+    """Whether an equilibrium is at the loads of the one before."""
+    return found.direction is None or not np.any(found.direction)
