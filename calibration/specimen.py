@@ -15,6 +15,7 @@ from jax import lax
 
 from calibration import leaves
 from jaxmpm.differentiable import WELL, Run
+from jaxmpm.differentiable_static import StaticRun
 from jaxmpm.errors import SceneError
 from jaxmpm.scene import load_scene
 
@@ -39,7 +40,7 @@ class Specimen:
 
     name: str
     overrides: tuple  # of the scene, those put in here too
-    run: Run
+    run: Run | StaticRun
     scene: dict  # `leaves.known` of the run
     at: np.ndarray  # (m,) measured displacements, mm
     load: np.ndarray  # (m,), N
@@ -53,22 +54,31 @@ class Specimen:
         Raises:
             SceneError: no response, no curve, or none of it in the window.
         """
-        overrides = [*source.overrides, "solver.damping=0"]
+        overrides = list(source.overrides)
         if source.data is not None:
             overrides.append(f"response.reference={json.dumps(str(Path(source.data).absolute()))}")
         scene = load_scene(source.scene, overrides)
-        if not scene.solver.viscosity:
-            overrides.append(f"solver.viscosity={VISCOSITY}")
-            scene = load_scene(source.scene, overrides)
         if scene.response is None:
             raise SceneError(f"scene = {source.scene}: response absent, expected the gauges of a curve to fit")
-        run = Run.of(scene, SAMPLES, leaves.STIFFER)
+        if scene.solver.kind == "quasistatic":
+            if source.smooth:
+                raise SceneError(f'smooth = {source.smooth:g}: expected none with solver.kind = "quasistatic": nothing vibrates')
+            run, between = StaticRun.of(scene), np.inf
+        else:
+            overrides += ["solver.damping=0", *([] if scene.solver.viscosity else [f"solver.viscosity={VISCOSITY}"])]
+            run = Run.of(load_scene(source.scene, overrides), SAMPLES, leaves.STIFFER)
+            scene, between = run.scene, run.dt * run.every
         measured = (np.zeros(0), np.zeros(0), None) if twin else _measured(scene, source)
-        average = max(1, round(source.smooth / (run.dt * run.every)))
+        average = max(1, round(source.smooth / between))
         if average > SAMPLES // 10:
-            limit = SAMPLES // 10 * run.dt * run.every
+            limit = SAMPLES // 10 * between
             raise SceneError(f"smooth = {source.smooth:g}: expected a time up to {limit:.3g} s, a tenth of the run")
         return cls(Path(source.scene).stem, tuple(overrides), run, leaves.known(run), *measured, average)
+
+    @property
+    def static(self) -> bool:
+        """Whether it is followed through equilibria: its curve is then no function to be compiled, and differentiated in reverse."""
+        return isinstance(self.run, StaticRun)
 
     @property
     def scale(self) -> np.ndarray:
@@ -78,8 +88,11 @@ class Specimen:
 
     def curve(self, values):
         """Displacement and load (samples + 2 - average,), mm and N, from rest; NaN if the run went wrong; pure."""
+        names = self.run.scene.response
         history = self.run(self.run.with_values(leaves.leaves(self.run, self.scene, values)))
-        names, well = self.run.scene.response, (history.status == WELL).all()
+        if self.static:
+            return history.gauges[names.displacement], history.gauges[names.load]
+        well = (history.status == WELL).all()
         mean = lambda line: jnp.convolve(line, jnp.full(self.average, 1 / self.average), "valid")
         lines = (mean(history.gauges[name]) for name in (names.displacement, names.load))
         return tuple(jnp.where(well, jnp.concatenate([jnp.zeros(1), line]), jnp.nan) for line in lines)

@@ -58,7 +58,10 @@ class Problem:
         return value, jnp.stack([slope(theta, direction) for direction in jnp.eye(len(theta))], 1)
 
     def slope(self, theta):
-        """½ rᵀr and its gradient (k,)."""
+        """½ rᵀr and its gradient (k,): in reverse through paths of equilibria, by the Jacobian of runs in time."""
+        if all(one.static for one in self.specimens):
+            self.runs, self.tangents = self.runs + 1, self.tangents + 1
+            return jax.value_and_grad(lambda theta: (lambda r: r @ r / 2)(self._residual(self._static(theta))))(theta)
         value, jacobian = self.evaluate(theta)
         return value @ value / 2, value @ jacobian
 
@@ -77,10 +80,16 @@ class Problem:
         pairs = zip(self.specimens, curves, strict=True)
         return jnp.concatenate([one.residual(curve, self.work) for one, curve in pairs])
 
+    def _static(self, theta):
+        values = self.parameters.values(theta)
+        return [one.curve(values) for one in self.specimens]
+
     def _all(self, what, *args):
-        """What a program of every specimen says, compiled when first called."""
+        """What a program of every specimen says, compiled when first called; a path of equilibria is none."""
         for k, one in enumerate(self.specimens):
-            if (k, what) not in self._programs:
+            if one.static and what == "value":
+                self._programs[k, what] = lambda theta, one=one: one.curve(self.parameters.values(theta))
+            elif (k, what) not in self._programs:
                 value = lambda theta, one=one: one.curve(self.parameters.values(theta))  # noqa: E731
                 tangent = lambda theta, way, f=value: jax.jvp(f, (theta,), (way,))[1]
                 program = {"value": value, "tangent": tangent}[what]
@@ -119,6 +128,11 @@ def twin_of(problem: Problem, noise: float, points: int = 100, seed: int = 0) ->
 
 def check_reach(problem: Problem) -> None:
     """Raise SceneError where a run from the start fails, or ends before the measured curve does."""
+    if problem.jacobian == "tangent" and any(one.static for one in problem.specimens):
+        raise SceneError(
+            '--jacobian = "tangent": expected "secant" with solver.kind = "quasistatic", whose paths are differentiated in reverse '
+            "alone (--method adam does so)"
+        )
     start = problem.parameters.start()
     for one, (displacement, load) in zip(problem.specimens, problem.curves(start), strict=True):
         if not np.isfinite(load).all():

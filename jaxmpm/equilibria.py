@@ -29,7 +29,7 @@ SIDEWAYS = (0.05, -0.05, 0.3, -0.3, 2.0, -2.0)  # steps along the softest mode, 
 BROKEN = 40.0  # softening p of a band that is as good as broken
 MOST_AHEAD = 2.0  # of the last increment that the next is thought to go at most
 FIRST = 0.02  # of the last increment that the next is thought to go, where its measure says nothing
-DENSE = 15  # cells that crack, over the root of the unknowns, up to which a dense system is quicker
+DENSE = 1000  # cells that crack, up to which a dense system is quicker
 
 
 class Equilibria:
@@ -90,7 +90,7 @@ class Equilibria:
         return self._compiled[key](self.model, *args)
 
     def _many(self, cells):
-        return cells > DENSE * np.sqrt(self.structure.moves.shape[1])
+        return cells > DENSE
 
     # -- attempts --------------------------------------------------------------------------------
 

@@ -189,7 +189,8 @@ class Follower:
         times = np.linspace(begin, end, 401)
         most = np.argmax(np.abs(direction / eq.scale))
         along = np.asarray(jax.vmap(loads_of(model)[most].amplitude)(times))
-        factors = np.maximum.accumulate((along - start[most]) / direction[most])
+        unit = direction[most] if direction[most] != 0 else 1.0  # where all loads stay
+        factors = np.maximum.accumulate((along - start[most]) / unit)
         bound = LEAP * self.largest / (end - begin) * (factors[-1] - factors[0])
         self.began = self.time
         self.line = Line(start, direction, times, factors, bound=bound)

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxmpm.errors import Problems, SceneError, did_you_mean, written
+from jaxmpm.scene_check_quasistatic import OF_MOTION
 
 SCENES = Path(__file__).parent / "scenes"
 
@@ -101,7 +102,18 @@ def override(tree: dict[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
             lines.append(f"override {written(text)}: expected a parameter of the scene, one of {', '.join(known) or 'none'} ({advice})")
     if lines:
         raise SceneError(lines)
+    _leave_motion(tree, overrides)
     return tree
+
+
+def _leave_motion(tree, overrides):
+    """Where an override asks for equilibrium, what the file says of motion alone is left out; what overrides say stays."""
+    said = {text.partition("=")[0].strip() for text in overrides}
+    solver = tree.get("solver")
+    if "solver.kind" in said and isinstance(solver, dict) and solver.get("kind") == "quasistatic":
+        for key in set(OF_MOTION) & set(solver):
+            if f"solver.{key}" not in said:
+                del solver[key]
 
 
 def _mentions(node: Any, name: str) -> bool:

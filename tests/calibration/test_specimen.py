@@ -217,3 +217,28 @@ def test_a_file_of_specimens(tmp_path):
     file.write_text('[[specimens]]\nscene = "bar"\ndat = "a.csv"\n')
     with pytest.raises(SceneError, match="specimens.0.dat: unknown, expected data"):
         specimen_cli._several(options)
+
+
+STATIC = ["parameters.cell=10", 'solver.kind="quasistatic"', "output.samples=20"]
+
+
+def test_a_specimen_in_equilibrium_has_its_gradient_in_reverse():
+    """The gradient of the loss in reverse against differences of it."""
+    one = Specimen.of(Source("bar", tuple(STATIC)), twin=True)
+    problem = twin_of(Problem([one], leaves.parameters([one.run], NAMES, {}, {}, {})), 0.0)
+    away = problem.parameters.theta({"weak.ft": 2.6, "weak.GF": 0.11})
+    loss, slope = problem.slope(away)
+    value = lambda theta: float(problem.value(theta) @ problem.value(theta)) / 2  # noqa: E731
+    assert loss == pytest.approx(value(away), rel=1e-9)
+    for k in range(2):
+        step = 2e-3 * jnp.eye(2)[k]
+        assert slope[k] == pytest.approx((value(away + step) - value(away - step)) / 4e-3, rel=0.05)
+
+
+def test_what_equilibrium_cannot_do_is_refused():
+    with pytest.raises(SceneError, match="smooth = 0.001: expected none"):
+        Specimen.of(Source("bar", tuple(STATIC), smooth=1e-3), twin=True)
+    one = Specimen.of(Source("bar", tuple(STATIC)), twin=True)
+    problem = Problem([one], leaves.parameters([one.run], NAMES, {}, {}, {}), jacobian="tangent")
+    with pytest.raises(SceneError, match='--jacobian = "tangent": expected "secant"'):
+        check_reach(problem)
