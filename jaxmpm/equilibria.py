@@ -24,6 +24,7 @@ from jaxmpm.laws.balance import RESTS
 from jaxmpm.stiffness import MEAN, MODES, Structure, loads_of
 
 OVERSHOOT = 0.02  # of the strength: by how much a cell may be beyond onset at the end of an increment
+CLOSE = 0.004  # the same where derivatives are asked for, which take it for none
 NEIGHBOURS = 5  # cells each way in which one at most cracks at a time
 SIDEWAYS = (0.05, -0.05, 0.3, -0.3, 2.0, -2.0)  # steps along the softest mode, over the strain at onset
 BROKEN = 40.0  # softening p of a band that is as good as broken
@@ -36,6 +37,7 @@ class Equilibria:
     """A model, its last equilibrium, and the means to find the next."""
 
     def __init__(self, model, state, tolerance, gauge=None, tape=None):
+        self.overshoot = OVERSHOOT if tape is None else CLOSE
         self.model, self.state, self.tolerance, self.gauge = model, state, tolerance, gauge
         self.prepared = jax.jit(models.fields)(model)
         self.structure = Structure.of(model)
@@ -209,10 +211,10 @@ class Equilibria:
     def share_to_onset(self, trial):
         """Share of an increment after which the first cell is as far beyond onset as is aimed at; 1 if none is too far."""
         before, after = self.now.ratio, np.where(self.now.ratio > 0, trial.ratio, 0.0)
-        far = after > 1 + OVERSHOOT
+        far = after > 1 + self.overshoot
         if not far.any():
             return 1.0
-        aim = 1 + OVERSHOOT / 2
+        aim = 1 + self.overshoot / 2
         rise = np.maximum(after[far] - before[far], 1e-12)
         return float(np.clip((aim - before[far]) / rise, 0.0, 1.0).min())
 
@@ -224,7 +226,7 @@ class Equilibria:
         rising = rate > 1e-9
         if not rising.any():
             return np.inf
-        return float(np.maximum((1 + OVERSHOOT / 2 - self.now.ratio[rising]) / rate[rising], 0.0).min())
+        return float(np.maximum((1 + self.overshoot / 2 - self.now.ratio[rising]) / rate[rising], 0.0).min())
 
     def accept(self, trial):
         """Take an equilibrium over."""

@@ -44,7 +44,7 @@ def values_of(run, *names):
 
 
 def test_bar_agrees_with_differences_of_whole_paths(monkeypatch):
-    monkeypatch.setattr(equilibria, "OVERSHOOT", 1e-4)
+    monkeypatch.setattr(equilibria, "CLOSE", 1e-4)
     run = StaticRun.of(bar(105, "output.samples=25"))
     ours, expected = both(run, values_of(run, "weak.E", "weak.Ep", "weak.n", "weak.ft"), lambda *of: loads_at(*of, run.scene.solver.duration * np.array([15, 17, 20]) / 25))
     np.testing.assert_allclose(ours, expected, rtol=2e-3, atol=1e-4 * np.abs(expected).max())
@@ -52,7 +52,7 @@ def test_bar_agrees_with_differences_of_whole_paths(monkeypatch):
 
 def test_a_snap_back_followed_by_energy_agrees_too(monkeypatch):
     """A bar four times as long as H_max: the last load, and the elongation at which the load has come back to 200 N."""
-    monkeypatch.setattr(equilibria, "OVERSHOOT", 1e-4)
+    monkeypatch.setattr(equilibria, "CLOSE", 1e-4)
     monkeypatch.setattr(follow, "ENERGY", (0.02, 1e-5, 0.03))
     more = 'solver.control="dissipation"', "displacements.0.history.value=[0.0, 0.06, 0.2]", "output.samples=40"
     run = StaticRun.of(bar(800, *more))
@@ -69,7 +69,7 @@ def test_a_snap_back_followed_by_energy_agrees_too(monkeypatch):
 
 def test_plate_agrees_where_cracks_begin_at_given_loads(monkeypatch):
     """Increments that end at samples whatever cracks on the way: so do derivatives that leave cracks at their loads."""
-    monkeypatch.setattr(equilibria, "OVERSHOOT", 1.0)
+    monkeypatch.setattr(equilibria, "CLOSE", 1.0)
     monkeypatch.setattr(adjoint, "FOLLOWS", False)
     run = StaticRun.of(plate("solver.duration=0.0022", "output.samples=44", "solver.largest_increment=0.05"))
     times = run.scene.solver.duration * np.array([28, 36]) / 44
