@@ -8,8 +8,6 @@ from pathlib import Path
 
 from jaxmpm import __version__, cli_ensemble
 
-QUASI_STATIC = 1e-3  # kinetic energy over stored at the peak, below which slower loading changes little
-
 BAD_INPUT, STOPPED, INTERRUPTED = 2, 1, 130
 
 
@@ -149,9 +147,9 @@ def _run(options) -> int:
     _keep_compiled()
     if options.resume and not (directory / "restart.h5").exists():
         print(f"jaxmpm: nothing to resume in {directory}: the run begins anew", file=sys.stderr)
-    summary = run_scene(scene, directory, options.resume, progress=not options.quiet)
+    result = run_scene(scene, directory, options.resume, progress=not options.quiet)
     if not options.quiet:
-        print(report(summary, directory))
+        print(result)
     return 0
 
 
@@ -166,34 +164,6 @@ def _folder(option: str, name) -> Path:
     if not os.access(there, os.W_OK | os.X_OK):
         raise ResultError(f"{option} = {name}: expected a folder to write to, but {there} may not be written")
     return directory
-
-
-def report(summary: dict, directory) -> str:
-    """The end of a run in a few lines."""
-    lines = []
-    if "peak_load" in summary:
-        load = lambda value: f"{value / 1e3:.3f} kN" if summary["load_unit"] == "N" else f"{value:.3f} MPa"  # noqa: E731
-        travel = lambda value: f"{value:.4f} mm" if summary["displacement_unit"] else f"{value:.2e}"  # noqa: E731
-        peak, end = ((load(summary[f]), travel(summary[u])) for f, u in (
-            ("peak_load", "displacement_at_peak"), ("final_load", "final_displacement")
-        ))  # fmt: skip
-        lines.append(f"peak {peak[0]} at {peak[1]}, {end[0]} at the end ({end[1]})")
-    if (share := summary.get("kinetic_share_at_peak")) is not None:
-        slow = "slow enough for a static test" if share < QUASI_STATIC else "fast for a static test: stretch the histories"
-        lines.append(f"kinetic energy at the peak {share:.1e} of the stored: {slow}")
-    if summary.get("reference_inside") is not None:
-        lines.append(f"{summary['reference_inside']:.0%} of the curve inside {summary['reference']}")
-    cracked = f"{summary['cracked']} of {summary['cells']} cells cracked, " if summary["can_crack"] else ""
-    lines += [
-        f"{cracked}energy error {summary['energy_error']:.1e}",
-        f"{summary['run_seconds']:.1f} s for {summary['steps']} steps "
-        f"({summary['ms_per_step']:.2f} ms a step, {summary['cell_steps_per_second'] / 1e6:.1f} M "
-        f"cell-steps/s), {summary['compile_seconds']:.1f} s compilation, "
-        f"{summary['wall_seconds']:.1f} s in all, {summary['precision']}, {summary['device']}",
-        f"written to {directory}: summary.json history.csv result.vtkhdf"
-        + "".join(f" {name}.png" for name in ("response", "cracks", "stages") if (Path(directory) / f"{name}.png").exists()),
-    ]
-    return "\n".join(lines)
 
 
 def _scenes(options) -> int:
@@ -226,10 +196,10 @@ def _plot(options) -> int:
 
     suffix = f".{_picture_format(options)}"
     directory, look = Path(options.directory), {"field": options.field, "deformed": options.deformed}
-    target = directory / f"{plot.picture_name(**look)}{suffix}"
     if options.animate:
         from jaxmpm.animate import animate
 
+        target = directory / f"{plot.picture_name(**look)}{suffix}"
         print(animate(directory, target, fps=options.fps, **look))
         return 0
     if options.stages:
@@ -238,9 +208,7 @@ def _plot(options) -> int:
         print(plot_stages(directory, directory / f"stages{suffix}"))
         return 0
     frame = -1 if options.frame is None else options.frame
-    print(plot.plot_cracks(directory, target, frame=frame, **look))
-    if "response" in plot.read_summary(directory):
-        print(plot.plot_response(directory, directory / f"response{suffix}"))
+    print(*plot.plot_run(directory, suffix, frame=frame, **look), sep="\n")
     return 0
 
 

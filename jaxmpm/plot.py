@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from jaxmpm.reference import Reference
 
-__all__ = ["DPI", "STYLE", "picture_name", "plot_cracks", "plot_response", "read_summary"]
+__all__ = ["DPI", "STYLE", "picture_name", "plot_cracks", "plot_response", "plot_run", "read_summary"]
 
 
 def plot_response(directory: str | os.PathLike, path: str | os.PathLike | None = None) -> Path:
@@ -97,6 +97,25 @@ def plot_cracks(
         title(axes, summary, notes)
         path = Path(path or directory / f"{picture_name(field, deformed)}.png")
         return plot_style.save(figure, path)
+
+
+def plot_run(
+    directory: str | os.PathLike,
+    suffix: str = ".png",
+    frame: int = -1,
+    deformed: float | None = None,
+    field: str = "material",
+) -> list[Path]:
+    """Draw the body as `plot_cracks` does and, of a run that has one, the response; returns the pictures' paths.
+
+    `suffix`: .png, .pdf or .svg. Raises ResultError as those do.
+    """
+    directory = Path(directory)
+    target = directory / f"{picture_name(field, deformed)}{suffix}"
+    drawn = [plot_cracks(directory, target, frame, deformed, field)]
+    if "response" in read_summary(directory):
+        drawn.insert(0, plot_response(directory, directory / f"response{suffix}"))
+    return drawn
 
 
 def picture_name(field: str, deformed: float | None) -> str:

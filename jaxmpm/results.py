@@ -147,7 +147,7 @@ def read_summary(directory: str | os.PathLike) -> dict[str, Any]:
 
     Raises ResultError where it is missing or is not a JSON object.
     """
-    return _read_object(Path(directory) / SUMMARY)
+    return read_object(Path(directory) / SUMMARY)
 
 
 def read_reference(directory: str | os.PathLike) -> Reference | None:
@@ -156,14 +156,15 @@ def read_reference(directory: str | os.PathLike) -> Reference | None:
     Raises ResultError where scene.json is missing or holds something else.
     """
     path = Path(directory) / "scene.json"
-    given = (_read_object(path).get("response") or {}).get("reference")
+    given = (read_object(path).get("response") or {}).get("reference")
     try:
         return given and Reference.model_validate(given)
     except ValueError as error:
         raise ResultError(f"{path}: response.reference is broken; run the scene again") from error
 
 
-def _read_object(path: Path) -> dict[str, Any]:
+def read_object(path: Path) -> dict[str, Any]:
+    """Read nested tables as JSON; raises ResultError where the file is missing or holds something else."""
     try:
         tree = json.loads(_bytes(path))
     except ValueError as error:

@@ -12,6 +12,7 @@ from jaxmpm.errors import RunError, SceneError
 from jaxmpm.moving_simulation import MOVING_FIELDS, MovingSimulation
 from jaxmpm.progress import Progress
 from jaxmpm.quasistatic import QuasiStatic
+from jaxmpm.run_result import Result
 from jaxmpm.scene import Scene
 from jaxmpm.simulation import ERROR_LIMIT, FRAME_FIELDS, Simulation
 from jaxmpm.summary import ENERGIES, summarise
@@ -38,8 +39,8 @@ def energy_met(reading) -> float:
     return max(abs(external), sum(parts))
 
 
-def run_scene(scene: Scene, directory, resume: bool = False, progress: bool = True) -> dict:
-    """Run a scene and write its results to a directory; returns the summary.
+def run_scene(scene: Scene, directory, resume: bool = False, progress: bool = True) -> Result:
+    """Run a scene and write its results to a directory; returns its summary with what lies beside it.
 
     Raises SceneError before anything runs; RunError where the run had to stop, after all that
     was computed is on disk with the reason in summary.json.
@@ -87,7 +88,7 @@ class Recorder:
             self.messages.append(f"t = 0 s: {met}: the run begins as points that move")
         return bool(met) or (frame == "auto" and len({body.velocity for body in self.scene.bodies}) > 1)
 
-    def run(self) -> dict:
+    def run(self) -> Result:
         """All samples, then pictures and summary."""
         status, error = "completed", None
         try:
@@ -110,7 +111,7 @@ class Recorder:
         self._pictures()
         if error is not None:
             raise error
-        return summary
+        return Result(self.directory, summary)
 
     def _samples(self):
         scene, sim = self.scene, self.sim

@@ -7,7 +7,7 @@ import math
 import operator
 import re
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -84,36 +84,57 @@ def find_own_laws(tree: dict[str, Any], folder: Path) -> None:
         band |= {"source": f"{path.resolve()}:{cls}", "digest": digest}
 
 
-def override(tree: dict[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
-    """A copy of `tree` with each "key.path=value" put in, tables made where they are missing."""
+def override(tree: dict[str, Any], overrides: Sequence[str] | Mapping[str, Any]) -> dict[str, Any]:
+    """A copy of `tree` with each "key.path=value" put in, tables made where they are missing.
+
+    `overrides`: such texts, or values by "key.path", NumPy's too.
+    """
     before, tree = tree.get("parameters"), copy.deepcopy(tree)
     known = list(before) if isinstance(before, dict) else []
     lines = []
-    for text in overrides:
+    changes = _changes(overrides, lines)
+    for text, path, value in changes:
         try:
-            _put(tree, text)
+            _put(tree, text, path, value)
         except SceneError as error:
             lines += error.lines
-    for text in overrides:
-        group, _, name = text.partition("=")[0].strip().partition(".")
-        if group == "parameters" and name and name not in known and not _mentions(tree, name):
-            near = did_you_mean(name, known)
+    for text, path, _ in changes:
+        group, *name = path
+        if group == "parameters" and name and name[0] not in known and not _mentions(tree, name[0]):
+            near = did_you_mean(name[0], known)
             advice = f"did you mean {near}?" if near else "nothing in the scene asks for it"
             lines.append(f"override {written(text)}: expected a parameter of the scene, one of {', '.join(known) or 'none'} ({advice})")
     if lines:
         raise SceneError(lines)
-    _leave_motion(tree, overrides)
+    _leave_motion(tree, {".".join(path) for _, path, _ in changes})
     return tree
 
 
-def _leave_motion(tree, overrides):
+def _leave_motion(tree, said):
     """Where an override asks for equilibrium, what the file says of motion alone is left out; what overrides say stays."""
-    said = {text.partition("=")[0].strip() for text in overrides}
     solver = tree.get("solver")
     if "solver.kind" in said and isinstance(solver, dict) and solver.get("kind") == "quasistatic":
         for key in set(OF_MOTION) & set(solver):
             if f"solver.{key}" not in said:
                 del solver[key]
+
+
+def _changes(overrides, lines: list[str]) -> list[tuple[str, list[str], Any]]:
+    """The overrides as they are to be named in an error, with path and value; what is none goes to `lines`."""
+    if isinstance(overrides, str):
+        raise SceneError(f'overrides = {written(overrides)}: expected a list of "key.path=value", or a table {{"key.path": value}}')
+    if isinstance(overrides, Mapping):
+        plain = {key: value.tolist() if hasattr(value, "tolist") else value for key, value in overrides.items()}
+        return [(f"{key}={written(value)}", [part.strip() for part in key.split(".")], value) for key, value in plain.items()]
+    changes = []
+    for text in overrides:
+        dotted, equals, value = text.partition("=")
+        path = [part.strip() for part in dotted.split(".")]
+        if not equals or not all(path):
+            lines.append(f"override {written(text)}: expected key.path=value (as in grid.cell=2.5)")
+        else:
+            changes.append((text, path, _value(value.strip())))
+    return changes
 
 
 def _mentions(node: Any, name: str) -> bool:
@@ -123,11 +144,7 @@ def _mentions(node: Any, name: str) -> bool:
     return isinstance(node, str) and re.search(rf"\b{re.escape(name)}\b", node) is not None
 
 
-def _put(tree: dict[str, Any], text: str) -> None:
-    dotted, equals, value = text.partition("=")
-    parts = [part.strip() for part in dotted.split(".")]
-    if not equals or not all(parts):
-        raise SceneError(f"override {written(text)}: expected key.path=value (as in grid.cell=2.5)")
+def _put(tree: dict[str, Any], text: str, parts: list[str], value: Any) -> None:
     node: Any = tree
     for depth, part in enumerate(parts):
         where = ".".join(parts[:depth])
@@ -151,7 +168,7 @@ def _put(tree: dict[str, Any], text: str) -> None:
                 f"it is {written(node)}"
             )
         if last:
-            node[key] = _value(value.strip())
+            node[key] = copy.deepcopy(value)
         node = node[key]
 
 

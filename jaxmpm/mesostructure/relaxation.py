@@ -6,8 +6,6 @@ soft discs are brought to any density below that of jamming.
 """
 
 import numpy as np
-from scipy.optimize import minimize
-from scipy.spatial import cKDTree
 
 DENSEST = 0.92  # of discs with half their gap around them: beyond it nothing that is random fits
 ROUNDS = 60  # of finding neighbours anew
@@ -42,6 +40,8 @@ def _inside(room, least, most) -> bool:
 
 def neighbours(room, within: float) -> tuple[np.ndarray, np.ndarray]:
     """Pairs of inclusions whose circles around them are less than `within` mm apart."""
+    from scipy.spatial import cKDTree
+
     if room.periodic:
         room.centres[:] = room.low + np.mod(room.centres - room.low, room.span)
     box = room.span if room.periodic else None
@@ -59,6 +59,7 @@ def neighbours(room, within: float) -> tuple[np.ndarray, np.ndarray]:
 
 def _relax(room, first, second, gap, least, most) -> float:
     """Some iterations with fixed neighbours; returns the energy left, mm²."""
+    from scipy.optimize import minimize
 
     def energy(flat):
         room.centres[:] = flat.reshape(-1, 2)

@@ -13,7 +13,6 @@ It is known everywhere, so that any grid samples the same field. The factor f wi
 import zlib
 
 import numpy as np
-from scipy.special import gamma, log_ndtr
 
 WAVES = 2048
 
@@ -41,4 +40,6 @@ def gaussian_field(random: np.random.Generator, length: float, x: np.ndarray, y:
 
 def weibull(normal: np.ndarray, modulus: float) -> np.ndarray:
     """Weibull variates of mean 1 and this modulus with the probabilities of standard `normal` ones."""
+    from scipy.special import gamma, log_ndtr
+
     return (-log_ndtr(-normal)) ** (1.0 / modulus) / gamma(1.0 + 1.0 / modulus)
