@@ -5,7 +5,6 @@ gone on with, and made larger.
 """
 
 import json
-import sys
 import time as clock
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,6 +13,7 @@ from jaxmpm import results
 from jaxmpm.ensemble_statistics import statistics, table_of
 from jaxmpm.ensemble_workers import run_beside
 from jaxmpm.errors import RunError, SceneError, written
+from jaxmpm.progress import Terminal, screen
 from jaxmpm.restart import difference
 from jaxmpm.run import run_scene, terminate_as_interrupt
 from jaxmpm.scene import Scene
@@ -162,9 +162,10 @@ class _Teller:
     def __init__(self, wanted: bool, seeds: list[int], done: int):
         self.wanted, self.seeds, self.done = wanted, seeds, done
         self.first, self.began = done, clock.perf_counter()
-        self.bar = wanted and sys.stderr.isatty()
+        self.screen = screen()
+        self.bar = wanted and isinstance(self.screen, Terminal)  # for a sample too
         if wanted and done:
-            print(f"{done} of {len(seeds)} samples are there already", file=sys.stderr)
+            self.screen.line(f"{done} of {len(seeds)} samples are there already")
 
     def tell(self, seed: int, summary: dict) -> None:
         self.done += 1
@@ -176,4 +177,4 @@ class _Teller:
         if text == "completed" and "peak_load" in summary:
             text = f"peak {summary['peak_load']:.5g} {summary['load_unit']}"
             text += f" at {summary['displacement_at_peak']:.3g} {summary['displacement_unit']}".rstrip()
-        print(f"seed {seed} ({self.done} of {len(self.seeds)}): {text}, {left:.0f} s left", file=sys.stderr, flush=True)
+        self.screen.line(f"seed {seed} ({self.done} of {len(self.seeds)}): {text}, {left:.0f} s left")

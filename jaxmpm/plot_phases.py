@@ -11,6 +11,7 @@ from jaxmpm.layout import Layout, lay_out
 from jaxmpm.mesostructure.grading import measured
 from jaxmpm.mesostructure.sampling import structure_of
 from jaxmpm.mesostructure.structure import Structure
+from jaxmpm.plot_scene import COLOURS, draw_legend, draw_loads, draw_map, limits, lines, materials_in_order
 from jaxmpm.plot_style import ACCENT, BAND, EDGE, FAINT, INK, colour_bar, save, shades, styled_figure, title
 
 if TYPE_CHECKING:
@@ -18,8 +19,6 @@ if TYPE_CHECKING:
 
     from jaxmpm.scene import Scene
 
-# Told apart by lightness too: matrix, inclusion, interface, and what an image has more.
-COLOURS = ("#e8e4da", "#5f7f9c", "#d9822b", "#2f4858", "#b7c9a8", "#8c6d8f", "#f2d38b", "#a3a9ae")
 MAP, SIDE, HEAD, FOOT, SPACE = 4.6, 2.7, 0.75, 0.6, 0.95  # inches
 
 
@@ -30,9 +29,10 @@ def plot_phases(scene: Scene, path: Path) -> Path:
     """
     layout, structure = lay_out(scene), structure_of(scene)
     strength = layout.local.strength if layout.local else None
-    order = _order(scene, layout)
+    order = materials_in_order(scene, layout)
     with styled_figure() as figure:
-        span = layout.cell * np.array(layout.shape)
+        low, high = limits(layout)
+        span = high - low
         high, wide = MAP * np.minimum(1.0, (span[1] / span[0], span[0] / span[1]))
         tall = max(high, 2.6)
         wide_all = wide + SPACE + SIDE + (0 if strength is None else wide + 1.3 * SPACE)
@@ -43,9 +43,11 @@ def plot_phases(scene: Scene, path: Path) -> Path:
                                     *np.divide((width, height), figure.get_size_inches())))  # fmt: skip
 
         main = axes_at(0.6, FOOT + (tall - high), wide, high)
-        _draw_map(main, layout, order)
+        draw_map(main, layout, order)
         if structure is not None:
             _draw_outlines(main, structure)
+        draw_loads(main, scene, layout)
+        draw_legend(main)
         title(main, {"title": scene.title}, [_about(scene, layout, structure)])
         left = 0.6 + wide + SPACE
         bars = 0.24 * len(order) + 0.1
@@ -59,17 +61,6 @@ def plot_phases(scene: Scene, path: Path) -> Path:
         return save(figure, Path(path))
 
 
-def _order(scene: Scene, layout: Layout) -> list[int]:
-    """Materials in the order of the colours: matrix, inclusion, interface, then as the scene has them."""
-    table, names = scene.mesostructure, list(layout.materials)
-    first = [scene.bodies[0].material]
-    if table is not None:
-        first = [body.material for body in scene.bodies if body.name == table.body]
-        first += [table.inclusion, table.interface]
-    chosen = [name for name in first if name in names]
-    return [names.index(name) for name in dict.fromkeys([*chosen, *names])]
-
-
 def _about(scene, layout, structure) -> str:
     what = f"cells of {layout.cell:g} mm"
     if scene.mesostructure is not None and scene.mesostructure.sampling == "mixed":
@@ -78,27 +69,6 @@ def _about(scene, layout, structure) -> str:
         return what
     kind = {"circle": "circles", "ellipse": "ellipses", "polygon": "polygons"}[scene.mesostructure.inclusions.shape.kind]
     return f"{len(structure.sizes)} {kind}, {what}"
-
-
-def _draw_map(axes: Axes, layout: Layout, order: list[int]) -> None:
-    from matplotlib.colors import ListedColormap
-
-    _frame(axes, layout)
-    rank = np.empty(len(order), int)
-    rank[order] = np.arange(len(order))
-    values = np.ma.masked_array(rank[layout.material], layout.material < 0)
-    colours = ListedColormap([COLOURS[k % len(COLOURS)] for k in range(len(order))])
-    axes.pcolormesh(*_lines(layout), values.T, cmap=colours, vmin=-0.5, vmax=len(order) - 0.5, rasterized=True)
-
-
-def _frame(axes: Axes, layout: Layout) -> None:
-    x, y = _lines(layout)
-    axes.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]), xlabel="x [mm]", ylabel="y [mm]")
-    axes.locator_params(nbins="auto", steps=[1, 2, 5, 10])
-
-
-def _lines(layout):
-    return (o + layout.cell * np.arange(n + 1) for o, n in zip(layout.origin, layout.shape, strict=True))
 
 
 def _draw_outlines(axes: Axes, structure: Structure) -> None:
@@ -158,10 +128,11 @@ def _label_sizes(axes: Axes, grading) -> None:
 
 def _draw_strength(axes: Axes, scene, layout: Layout) -> None:
     """The factor on the strength, where it varies."""
-    _frame(axes, layout)
-    axes.set_ylabel("")
+    (left, bottom), (right, top) = limits(layout)
+    axes.set(xlim=(left, right), ylim=(bottom, top), xlabel="x [mm]")
+    axes.locator_params(nbins="auto", steps=[1, 2, 5, 10])
     varies = np.array([*(scene.materials[name].scatter is not None for name in layout.materials), False])
     values = np.ma.masked_array(layout.local.strength, ~varies[layout.material])
     axes.set_facecolor(BAND)
-    mesh = axes.pcolormesh(*_lines(layout), values.T, cmap=shades("viridis", 0.0, 1.0), rasterized=True)
+    mesh = axes.pcolormesh(*lines(layout), values.T, cmap=shades("viridis", 0.0, 1.0), rasterized=True)
     colour_bar(axes, mesh, "factor on the strength")

@@ -1,6 +1,6 @@
 """What to simulate: a typed, checked scene, read from TOML (mm, N, MPa, s, tonne)."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -334,10 +334,16 @@ class Scene(Table):
         """The scene as tables ready for JSON, parameters replaced; `from_dict` takes it back."""
         return self.model_dump(mode="json", exclude_none=True)
 
+    def _repr_html_(self) -> str:
+        from jaxmpm.scene_html import scene_html
 
-def load_scene(source: str | Path, overrides: Sequence[str] = ()) -> Scene:
-    """The scene of a bundled name or a TOML file, with each override "key.path=value" put in.
+        return scene_html(self)
 
+
+def load_scene(source: str | Path, overrides: Sequence[str] | Mapping[str, Any] = ()) -> Scene:
+    """The scene of a bundled name or a TOML file, with changes put in.
+
+    `overrides`: "key.path=value" each, as on the command line, or values by "key.path": {"grid.cell": 2.5}.
     Raises SceneError, one line for each thing wrong.
     """
     path = scene_source.find(source)
