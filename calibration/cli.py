@@ -1,45 +1,28 @@
 """`jaxmpm calibrate energy | curve | specimen`: options in, words, files and pictures out."""
 
-import argparse
 from pathlib import Path
 
 from calibration import specimen_cli
 from calibration.options import named, positive, share, width
-from jaxmpm.errors import SceneError, near_or
+from jaxmpm.cli_examples import EXAMPLES
+from jaxmpm.cli_parser import Parser
+from jaxmpm.errors import SceneError
 
 CONDITIONS = ("initial_slope", "point", "centroid", "modulus")
 CURVES = ("linear", "bilinear", "exponential", "hordijk")
 
 
-class Parser(argparse.ArgumentParser):
-    """A parser that reports bad options as the rest of the program reports bad input."""
-
-    def error(self, message):
-        raise SceneError(f"calibrate: {message}")
-
-    def parse_all(self, arguments):
-        """Options of `arguments`; an unknown one is answered with the nearest that is known."""
-        options, unknown = self.parse_known_args(arguments)
-        if unknown:
-            known = [name for name in options.known if name != "-h"]
-            word = unknown[0].split("=")[0]
-            near = next((name for name in known if name.startswith(word)), None)
-            hint = f"did you mean {near}?" if near else near_or(word, known)
-            raise SceneError(f"calibrate {options.what}: unknown {unknown[0]} ({hint})")
-        return options
-
-
 def main(arguments=None) -> int:
     """Do what the words after `jaxmpm calibrate` ask for; raises SceneError for bad input."""
-    options = _parser().parse_all(arguments)
+    options = make_parser().parse_all(arguments)
     return options.command(options)
 
 
-def _parser() -> Parser:
+def make_parser() -> Parser:
+    """The parser of `jaxmpm calibrate`."""
     parser = Parser(
         prog="jaxmpm calibrate",
         description="Parameters of materials from fracture energy, a softening curve or whole tests.",
-        epilog="example: jaxmpm calibrate energy --E 32000 --ft 3 --GF 0.11 --h 0.05",
         allow_abbrev=False,
     )
     what = parser.add_subparsers(title="what", required=True, metavar="WHAT", dest="what")
@@ -47,9 +30,9 @@ def _parser() -> Parser:
         part = add(what)
         part.set_defaults(command=command)
     specimen_cli.add(what)
-    for part in what.choices.values():
-        known = [name for action in part._actions for name in action.option_strings]
-        part.set_defaults(known=known)
+    parser.show_examples(EXAMPLES["calibrate"])
+    for name, part in what.choices.items():
+        part.show_examples(EXAMPLES[f"calibrate {name}"])
     return parser
 
 

@@ -1,30 +1,30 @@
-"""The command line: `jaxmpm run | scenes | phases | plot | calibrate | verify | stability | benchmark`."""
+"""The command line: `jaxmpm run | scenes | new | phases | plot | calibrate | verify | stability | benchmark` and more."""
 
-import argparse
 import json
 import os
 import sys
 from pathlib import Path
 
-from jaxmpm import __version__, cli_ensemble
+from jaxmpm import __version__, cli_ensemble, cli_scenes
+from jaxmpm.cli_examples import EXAMPLES
+from jaxmpm.cli_parser import Parser
+from jaxmpm.errors import ResultError, RunError, SceneError
 
 BAD_INPUT, STOPPED, INTERRUPTED = 2, 1, 130
 
 
 def main(arguments=None) -> int:
     """Entry point; returns the exit status: 0 done, 1 stopped or failed, 2 bad input."""
-    options = _parser().parse_args(arguments)
-    from jaxmpm.errors import RunError, SceneError
-    from jaxmpm.results import ResultError
-
+    parser = make_parser()
     try:
+        options = parser.parse_all(arguments)
+        if options.command is None:
+            parser.print_help(sys.stderr)
+            return BAD_INPUT
         return options.command(options)
-    except SceneError as error:
-        for line in error.lines:
+    except (SceneError, ResultError) as error:
+        for line in error.lines if isinstance(error, SceneError) else [error]:
             print(f"jaxmpm: {line}", file=sys.stderr)
-        return BAD_INPUT
-    except ResultError as error:
-        print(f"jaxmpm: {error}", file=sys.stderr)
         return BAD_INPUT
     except RunError as error:
         print(f"jaxmpm: stopped: {error}", file=sys.stderr)
@@ -40,15 +40,26 @@ def main(arguments=None) -> int:
         return STOPPED
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="jaxmpm",
-        description="Differentiable material point method for fracture of quasi-brittle materials.",
-        epilog="example: jaxmpm run den --set grid.cell=5 --out results/den5",
+def make_parser() -> Parser:
+    """The parser of the whole command line."""
+    parser = Parser(
+        prog="jaxmpm", description="Differentiable material point method for fracture of quasi-brittle materials."
     )
     parser.add_argument("--version", action="version", version=f"jaxmpm {__version__}")
-    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND")
+    parser.set_defaults(command=None)
+    _add_run(commands)
+    cli_scenes.add_commands(commands, _folder, _picture)
+    _add_pictures(commands)
+    _add_calibrate(commands)
+    _add_checks(commands)
+    parser.show_examples(EXAMPLES[""])
+    for name, command in commands.choices.items():
+        command.show_examples(EXAMPLES[name])
+    return parser
 
+
+def _add_run(commands) -> None:
     run = commands.add_parser("run", help="run a scene and write its results")
     run.add_argument("scene", metavar="SCENE", help="a bundled name (jaxmpm scenes) or a TOML file")
     run.add_argument("--out", metavar="DIR", help="where to write (default: results/NAME)")
@@ -57,13 +68,13 @@ def _parser() -> argparse.ArgumentParser:
         help="change the scene, e.g. grid.cell=1.25; may be given again",
     )  # fmt: skip
     run.add_argument("--resume", action="store_true", help="go on with an interrupted run in DIR")
+    run.add_argument("--format", choices=("png", "pdf", "svg"), default="png", help="of the pictures: png (default), pdf or svg")
     run.add_argument("--quiet", action="store_true", help="no progress")
     cli_ensemble.add_options(run)
     run.set_defaults(command=_run)
 
-    scenes = commands.add_parser("scenes", help="list the bundled scenes")
-    scenes.set_defaults(command=_scenes)
 
+def _add_pictures(commands) -> None:
     phases = commands.add_parser("phases", help="draw what a scene is made of, before a run")
     phases.add_argument("scene", metavar="SCENE", help="a bundled name or a TOML file")
     phases.add_argument(
@@ -93,6 +104,8 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     plot.set_defaults(command=_plot)
 
+
+def _add_calibrate(commands) -> None:
     calibrate = commands.add_parser(  # whose own options are none of this parser's
         "calibrate", help="parameters of band laws from what was measured", add_help=False,
         prefix_chars="\0",
@@ -100,6 +113,8 @@ def _parser() -> argparse.ArgumentParser:
     calibrate.add_argument("arguments", nargs="*")
     calibrate.set_defaults(command=_calibrate)
 
+
+def _add_checks(commands) -> None:
     verify = commands.add_parser("verify", help="check the program against known answers")
     verify.add_argument("checks", nargs="*", metavar="CHECK", help="which (default: all)")
     verify.add_argument("--angle", type=float, help="of the opening test, degrees")
@@ -126,7 +141,6 @@ def _parser() -> argparse.ArgumentParser:
     bench.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="overrides")
     bench.add_argument("--json", metavar="FILE", help="write the table as JSON")
     bench.set_defaults(command=_benchmark)
-    return parser
 
 
 def _keep_compiled():
@@ -147,7 +161,7 @@ def _run(options) -> int:
     _keep_compiled()
     if options.resume and not (directory / "restart.h5").exists():
         print(f"jaxmpm: nothing to resume in {directory}: the run begins anew", file=sys.stderr)
-    result = run_scene(scene, directory, options.resume, progress=not options.quiet)
+    result = run_scene(scene, directory, options.resume, not options.quiet, options.format)
     if not options.quiet:
         print(result)
     return 0
@@ -155,8 +169,6 @@ def _run(options) -> int:
 
 def _folder(option: str, name) -> Path:
     """A folder to write to, which need not exist yet; raises ResultError where that cannot be."""
-    from jaxmpm.results import ResultError
-
     directory = Path(name)
     there = next((p for p in (directory, *directory.absolute().parents) if p.exists()), directory)
     if not there.is_dir():
@@ -166,25 +178,26 @@ def _folder(option: str, name) -> Path:
     return directory
 
 
-def _scenes(options) -> int:
-    from jaxmpm.scene import scene_names
+def _json(name) -> Path | None:
+    """A file to write at the end, if any; raises ResultError where that cannot be, before anything is computed."""
+    return name and _folder("--json", Path(name).parent) / Path(name).name
 
-    names = scene_names()
-    width = max(map(len, names))
-    for name, title in names.items():
-        print(f"{name:{width}}  {title}")
-    return 0
+
+def _picture(option: str, name) -> Path:
+    """A name of a picture; raises ResultError for another kind of file."""
+    path = Path(name)
+    if path.suffix not in (".png", ".pdf", ".svg"):
+        raise ResultError(f"{option} = {path}: expected a file whose name ends in .png, .pdf or .svg")
+    return path
 
 
 def _phases(options) -> int:
-    from jaxmpm.plot_phases import plot_phases
-    from jaxmpm.results import ResultError
     from jaxmpm.scene import load_scene
 
     scene = load_scene(options.scene, options.overrides)
-    target = Path(options.out or f"{scene.name}_phases.png")
-    if target.suffix not in (".png", ".pdf", ".svg"):
-        raise ResultError(f"--out = {target}: expected a file whose name ends in .png, .pdf or .svg")
+    target = _picture("--out", options.out or f"{scene.name}_phases.png")
+    from jaxmpm.plot_phases import plot_phases
+
     _folder("--out", target.parent)
     target.parent.mkdir(parents=True, exist_ok=True)
     print(plot_phases(scene, target))
@@ -214,8 +227,6 @@ def _plot(options) -> int:
 
 def _picture_format(options) -> str:
     """Of `jaxmpm plot`; raises ResultError for options that do not go together."""
-    from jaxmpm.results import ResultError
-
     if options.animate and options.frame is not None:
         raise ResultError(f"--frame = {options.frame}: expected none with --animate, all are shown")
     looks = (("--animate", options.animate or None), ("--frame", options.frame), ("--deformed", options.deformed))
@@ -240,12 +251,14 @@ def _calibrate(options) -> int:
 
 
 def _verify(options) -> int:
+    file = _json(options.json)
     _keep_compiled()
     from jaxmpm import verify
 
     checks = verify.run(options.checks, angle=options.angle, cell=options.cell, show=print)
-    if options.json:
-        Path(options.json).write_text(json.dumps(checks, indent=1))
+    if file:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(json.dumps(checks, indent=1))
     return 0 if all(check["passed"] for check in checks) else STOPPED
 
 
@@ -259,9 +272,8 @@ def _stability(options) -> int:
 
 
 def _benchmark(options) -> int:
+    file = _json(options.json)
     from jaxmpm import benchmark
-    from jaxmpm.results import ResultError
-
     if options.scene == "points":
         for option, value in (("--cells", options.cells), ("--set", options.overrides)):
             if value:
@@ -270,8 +282,9 @@ def _benchmark(options) -> int:
         rows = benchmark.points(show=print)
     else:
         rows = benchmark.run(options.scene, options.cells or [5.0, 2.5, 1.25], options.overrides, show=print)
-    if options.json:
-        Path(options.json).write_text(json.dumps(rows, indent=1))
+    if file:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(json.dumps(rows, indent=1))
     return 0
 
 

@@ -45,7 +45,7 @@ def run(options, folder, keep_compiled) -> int:
     from jaxmpm.ensemble_sizes import run_sizes
 
     keep_compiled()
-    about = {"resume": options.resume, "jobs": options.jobs or 1, "progress": not options.quiet}
+    about = {"resume": options.resume, "jobs": options.jobs or 1, "progress": not options.quiet, "pictures": options.format}
     if key:
         found = run_sizes(key, scenes, seeds, directory, **about)
     else:
@@ -53,7 +53,7 @@ def run(options, folder, keep_compiled) -> int:
     if not options.quiet:
         for value, one in found.items():
             print((f"{key} = {value}: " if key else "") + report(one))
-        print(f"written to {directory}: " + ("sizes.csv sizes.png and " if key else "") + "ensemble.csv ensemble.json ensemble.png")
+        print(f"written to {directory}: " + (f"sizes.csv sizes.{options.format} and " if key else "") + f"ensemble.csv ensemble.json ensemble.{options.format}")
     if bad := [text for value, one in found.items() for text in _bad(value, one)]:
         raise RunError(f"{len(bad)} of {len(seeds) * len(found)} samples did not complete: {', '.join(bad)} (why: ensemble.csv)")
     return 0

@@ -7,6 +7,7 @@ gone on with, and made larger.
 import json
 import time as clock
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from jaxmpm import results
@@ -47,8 +48,9 @@ def folder(directory, seed: int) -> Path:
 
 
 def run_ensemble(
-    scene: Scene, seeds: Sequence[int], directory, resume: bool = False, jobs: int = 1, progress: bool = True
-) -> dict:
+    scene: Scene, seeds: Sequence[int], directory, resume: bool = False, jobs: int = 1, progress: bool = True,
+    pictures: str = "png",
+) -> dict:  # fmt: skip
     """Run a scene for each seed and write what the samples have in common; returns that.
 
     Args:
@@ -59,6 +61,7 @@ def run_ensemble(
         resume: keep the samples there that have ended, and go on with those interrupted.
         jobs: samples run at a time; more than one in processes of their own, one thread each.
         progress: whether to say how far it is, on stderr.
+        pictures: png, pdf or svg.
 
     Returns:
         `completed`, `failed` (reason by seed), `unfinished` (seeds) and `numbers`, the statistics of
@@ -76,33 +79,29 @@ def run_ensemble(
 
     def ended(seed):
         told.tell(seed, read_sample(directory, seed))
-        write_ensemble(scene, samples, directory, picture=False)
+        write_ensemble(scene, samples, directory, picture=None)
 
     try:
         with terminate_as_interrupt():
             if jobs > 1:
-                run_beside(run_sample, todo, directory, jobs, ended)
+                run_beside(partial(run_sample, pictures=pictures), todo, directory, jobs, ended)
             else:
-                _run_in_turn(todo, directory, told.bar, ended)
+                for seed, tree in todo.items():
+                    run_sample(tree, folder(directory, seed), told.bar, pictures)
+                    ended(seed)
     finally:
-        found = write_ensemble(scene, samples, directory)
+        found = write_ensemble(scene, samples, directory, pictures)
     refused = [reason for reason in found["failed"].values() if reason.startswith("refused: ")]
     if len(refused) == len(samples):
         raise SceneError(refused[0].removeprefix("refused: "))
     return found
 
 
-def _run_in_turn(todo: dict[int, dict], directory: Path, bar: bool, ended) -> None:
-    for seed, tree in todo.items():
-        run_sample(tree, folder(directory, seed), bar)
-        ended(seed)
-
-
-def run_sample(tree: dict, directory: Path, progress: bool = False) -> None:
+def run_sample(tree: dict, directory: Path, progress: bool = False, pictures: str = "png") -> None:
     """Run one sample, on from its restart file if it has one; why it failed is in its summary.json."""
     scene = Scene.from_dict(tree)
     try:
-        run_scene(scene, directory, resume=True, progress=progress)
+        run_scene(scene, directory, resume=True, progress=progress, pictures=pictures)
     except RunError:  # its summary says why
         return
     except SceneError as error:
@@ -121,8 +120,11 @@ def read_sample(directory, seed: int) -> dict:
         return {"status": "unfinished"}
 
 
-def write_ensemble(scene: Scene, seeds, directory: Path, picture: bool = True) -> dict:
-    """Write ensemble.csv, ensemble.json and, of at least one completed sample, ensemble.png; returns what is in the second."""
+def write_ensemble(scene: Scene, seeds, directory: Path, picture: str | None = "png") -> dict:
+    """Write ensemble.csv, ensemble.json and, of at least one completed sample, ensemble.png; returns what is in the second.
+
+    `picture`: png, pdf or svg; None for no picture.
+    """
     summaries = {seed: read_sample(directory, seed) for seed in seeds}
     directory.mkdir(parents=True, exist_ok=True)
     results.write_table(directory / "ensemble.csv", *table_of(summaries))
@@ -131,7 +133,7 @@ def write_ensemble(scene: Scene, seeds, directory: Path, picture: bool = True) -
     if picture and found["completed"] and scene.response:
         from jaxmpm.plot_ensemble import plot_ensemble
 
-        plot_ensemble(directory)
+        plot_ensemble(directory, directory / f"ensemble.{picture}")
     return found
 
 

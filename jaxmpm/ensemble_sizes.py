@@ -25,11 +25,11 @@ def run_sizes(key: str, scenes: dict[str, Scene], seeds: Sequence[int], director
         for value, scene in scenes.items():
             found[value] = run_ensemble(scene, seeds, directory / f"{key.rpartition('.')[2]}_{value}", **about)
     finally:
-        write_sizes(key, found, directory)
+        write_sizes(key, found, directory, about.get("pictures", "png"))
     return found
 
 
-def write_sizes(key: str, found: dict[str, dict], directory: Path) -> None:
+def write_sizes(key: str, found: dict[str, dict], directory: Path, pictures: str = "png") -> None:
     """Write sizes.csv and, where a sample has a peak, sizes.png, of what `run_ensemble` returned by value."""
     rows = [
         [value, name, one["unit"], *("" if one[what] is None else one[what] for what in STATISTICS)]
@@ -43,7 +43,7 @@ def write_sizes(key: str, found: dict[str, dict], directory: Path) -> None:
     if any(peaks):
         from jaxmpm.plot_ensemble import plot_sizes
 
-        plot_sizes(key, [number_of(value) for value in found], list(found.values()), peaks, directory / "sizes.png")
+        plot_sizes(key, [number_of(value) for value in found], list(found.values()), peaks, directory / f"sizes.{pictures}")
 
 
 def _peaks(directory: Path, seeds) -> list[float]:

@@ -17,6 +17,10 @@ class SceneError(ValueError):
         return "\n".join(self.lines)
 
 
+class ResultError(Exception):
+    """A file of results is missing, broken or not what was expected."""
+
+
 class RunError(RuntimeError):
     """A run that started and could not go on."""
 

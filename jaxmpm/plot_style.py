@@ -25,6 +25,8 @@ STYLE = {
     "axes.edgecolor": "#444444",
     "xtick.color": "#444444",
     "ytick.color": "#444444",
+    "pdf.fonttype": 42,  # text stays text, in the font's own outlines
+    "svg.fonttype": "none",
 }
 INK, ACCENT, FAINT, EDGE = "#1f3b5c", "#c2410c", "#8d96a0", "#3c434b"
 BAND = "#d9dde2"

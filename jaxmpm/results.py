@@ -16,15 +16,12 @@ from typing import Any
 import h5py
 import numpy as np
 
+from jaxmpm.errors import ResultError, did_you_mean
 from jaxmpm.reference import Reference
 
 RESTART_FORMAT = "jaxmpm restart"
 RESTART_VERSION = 1
 SUMMARY = "summary.json"
-
-
-class ResultError(Exception):
-    """A file of results is missing, broken or not what was expected."""
 
 
 class History:
@@ -129,7 +126,7 @@ def write_object(path: str | os.PathLike, tree: Mapping[str, Any]) -> None:
     NumPy (and JAX) numbers and arrays become plain ones, non-finite numbers null.
     """
     text = json.dumps(_plain(tree, finite=True), indent=2, ensure_ascii=False, allow_nan=False)
-    _replace(Path(path), lambda aside: aside.write_text(text + "\n", encoding="utf-8"))
+    write_text(path, text + "\n")
 
 
 def write_table(path: str | os.PathLike, header: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
@@ -142,12 +139,32 @@ def write_table(path: str | os.PathLike, header: Sequence[str], rows: Sequence[S
     _replace(Path(path), write)
 
 
+def write_text(path: str | os.PathLike, text: str) -> Path:
+    """Write a text, all of it or nothing; returns its path."""
+    path = Path(path)
+    _replace(path, lambda aside: aside.write_text(text, encoding="utf-8"))
+    return path
+
+
 def read_summary(directory: str | os.PathLike) -> dict[str, Any]:
     """Read the directory's summary.json.
 
     Raises ResultError where it is missing or is not a JSON object.
     """
-    return read_object(Path(directory) / SUMMARY)
+    directory = Path(directory)
+    if not (directory / SUMMARY).exists():
+        raise ResultError(f"{directory / SUMMARY}: No such file or directory; {_advice(directory)}")
+    return read_object(directory / SUMMARY)
+
+
+def _advice(directory: Path) -> str:
+    """What to do where no run has ended."""
+    if (directory / "history.csv").exists():
+        return "the run there has not ended: go on with it by --resume"
+    ended = [path.parent.as_posix() for path in [*Path().glob(f"*/{SUMMARY}"), *Path().glob(f"results/*/{SUMMARY}")]]
+    by_name = {path.rpartition("/")[2]: path for path in ended}
+    near = did_you_mean(directory.name, by_name)
+    return f"did you mean {by_name[near]}?" if near else "has the scene been run?"
 
 
 def read_reference(directory: str | os.PathLike) -> Reference | None:

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from jaxmpm import restart, results, walls
-from jaxmpm.errors import RunError, SceneError
+from jaxmpm.errors import RunError, SceneError, written
 from jaxmpm.moving_simulation import MOVING_FIELDS, MovingSimulation
 from jaxmpm.progress import Progress
 from jaxmpm.quasistatic import QuasiStatic
-from jaxmpm.run_result import Result
+from jaxmpm.run_result import DRAWN, Result, drawn, suffix_of
 from jaxmpm.scene import Scene
 from jaxmpm.simulation import ERROR_LIMIT, FRAME_FIELDS, Simulation
 from jaxmpm.summary import ENERGIES, summarise
@@ -39,21 +39,24 @@ def energy_met(reading) -> float:
     return max(abs(external), sum(parts))
 
 
-def run_scene(scene: Scene, directory, resume: bool = False, progress: bool = True) -> Result:
+def run_scene(scene: Scene, directory, resume: bool = False, progress: bool = True, pictures: str = "png") -> Result:
     """Run a scene and write its results to a directory; returns its summary with what lies beside it.
 
-    Raises SceneError before anything runs; RunError where the run had to stop, after all that
+    `resume`: go on with a run that was interrupted there; `progress`: say how far it is, on stderr or
+    below a notebook's cell; `pictures`: png, pdf or svg. Raises SceneError before anything runs; RunError where the run had to stop, after all that
     was computed is on disk with the reason in summary.json.
     """
-    recorder = Recorder(scene, Path(directory), resume, progress)
+    if not isinstance(scene, Scene):
+        raise SceneError(f"scene = {written(scene)}: expected a Scene (jaxmpm.load_scene makes one)")
+    recorder = Recorder(scene, Path(directory), resume, progress, suffix_of(pictures))
     return recorder.run()
 
 
 class Recorder:
     """One run and the files it writes."""
 
-    def __init__(self, scene, directory, resume, progress):
-        self.scene, self.directory = scene, directory
+    def __init__(self, scene, directory, resume, progress, suffix):
+        self.scene, self.directory, self.suffix = scene, directory, suffix
         self.static = scene.solver.kind == "quasistatic"
         self.sim = (QuasiStatic if self.static else Simulation).of(scene)
         self.can_crack = self.sim.model.numerics.cracks
@@ -261,14 +264,17 @@ class Recorder:
     def _pictures(self):
         from jaxmpm import plot
 
+        for before in drawn(self.directory):  # of another format maybe
+            before.unlink()
+        at = {name: self.directory / f"{name}{self.suffix}" for name in DRAWN}
         if self.scene.response and len(self.rows) > 1:
-            plot.plot_response(self.directory)
+            plot.plot_response(self.directory, at["response"])
         if self.frames:
-            plot.plot_cracks(self.directory)
+            plot.plot_cracks(self.directory, at["cracks"])
         if self.shows_stages():
             from jaxmpm.plot_stages import plot_stages
 
-            plot_stages(self.directory)
+            plot_stages(self.directory, at["stages"])
 
     def shows_stages(self) -> bool:
         """Whether cracking is likely to be diffuse first and localised later, in cells that stay."""

@@ -6,13 +6,15 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxmpm.errors import ResultError
 from jaxmpm.html import Pictures, table
 from jaxmpm.results import read_history, read_object, read_summary, read_units
 from jaxmpm.scene import Scene
 from jaxmpm.vtkhdf import read_frame
 
 QUASI_STATIC = 1e-3  # kinetic energy over stored at the peak, below which slower loading changes little
-SHOWN = ("response", "cracks", "stages")  # pictures that a run draws
+DRAWN = ("response", "cracks", "stages")  # pictures that a run makes
+FORMATS = ("png", "pdf", "svg")
 ROWS = 5  # of a long history that are shown at either end
 
 
@@ -61,11 +63,11 @@ class Result(dict):
         """
         from jaxmpm.plot import plot_run
 
-        return Pictures(tuple(plot_run(self.directory, f".{format}", frame, deformed, field)))
+        return Pictures(tuple(plot_run(self.directory, suffix_of(format), frame, deformed, field)))
 
     def pictures(self) -> Pictures:
         """Those that the run has drawn."""
-        return Pictures(tuple(pictures(self.directory)))
+        return Pictures(tuple(drawn(self.directory)))
 
     def __repr__(self):
         return "\n".join(report(self, self.directory))
@@ -98,6 +100,13 @@ class History(dict):
         if count > 2 * ROWS:
             rows.insert(ROWS, ["…"] * (len(self) + 1))
         return table(rows, ["", *self._heads()])
+
+
+def suffix_of(format: str) -> str:
+    """The end of a picture's name; raises ResultError for a format that pictures are not written in."""
+    if format not in FORMATS:
+        raise ResultError(f"format = {format}: expected {', '.join(FORMATS[:-1])} or {FORMATS[-1]}")
+    return f".{format}"
 
 
 def load_result(directory: str | PathLike) -> Result:
@@ -173,10 +182,10 @@ def _cost(summary: dict) -> list[str]:
 def _files(directory: Path) -> list[str]:
     """Names of the results that are there."""
     names = ["summary.json", "history.csv", "result.vtkhdf"]
-    return [name for name in names if (Path(directory) / name).exists()] + [path.name for path in pictures(Path(directory))]
+    return [name for name in names if (Path(directory) / name).exists()] + [path.name for path in drawn(Path(directory))]
 
 
-def pictures(directory: Path) -> list[Path]:
-    """Pictures that a run has drawn there."""
-    found = (directory / f"{name}{end}" for name in SHOWN for end in (".png", ".svg", ".pdf"))
+def drawn(directory: Path) -> list[Path]:
+    """Pictures that a run has made there."""
+    found = (directory / f"{name}.{end}" for name in DRAWN for end in FORMATS)
     return [path for path in found if path.exists()]
