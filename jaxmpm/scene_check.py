@@ -1,6 +1,7 @@
 """Says in one line each what is wrong with a scene: types and ranges, then what refers to what."""
 
 import math
+import re
 import sys
 from collections.abc import Sequence
 from typing import Any
@@ -23,7 +24,7 @@ def explain(errors: Sequence[dict[str, Any]], schema: dict[str, Any], problems: 
         path = _locate(error, problems.resolved)
         parent, _ = _node(schema, path[:-1], problems.resolved)
         keys = list(parent.get("properties", {}))
-        near = did_you_mean(path[-1], keys)
+        near = did_you_mean(path[-1], keys) or _elsewhere(path[-1], schema)
         suggested.add((*path[:-1], near))
         known = f"one of the keys {', '.join(keys)}"
         problems.add(path, known, f"did you mean {near}?" if near else "remove it")
@@ -35,6 +36,16 @@ def explain(errors: Sequence[dict[str, Any]], schema: dict[str, Any], problems: 
         inner = error["type"] == "too_short" and any(p[:-1][: len(path)] == path for p in paths)
         if error not in unknown and not misspelt and not inner:
             _explain_one(error, path, schema, problems)
+
+
+def _elsewhere(key: Any, schema: dict, inside: str = "", node: dict | None = None) -> str:
+    """Where in the tables that every scene may have a key belongs, as "grid.cell"; "" where it is none of theirs."""
+    for name, below in _resolve(node or schema, schema).get("properties", {}).items():
+        if inside and name == key:
+            return f"{inside}.{name}"
+        if found := _elsewhere(key, schema, f"{inside}.{name}".strip("."), below):
+            return found
+    return ""
 
 
 def _explain_one(error, path, schema, problems) -> None:
@@ -50,9 +61,23 @@ def _explain_one(error, path, schema, problems) -> None:
         problems.add(path, str(error["ctx"]["error"]), text)
         return
     value = error["input"]
+    expected = _phrase(node) or "something else"
     near = did_you_mean(value, _choices(node)) if isinstance(value, str) else ""
-    advice = text + (f"; did you mean {written(near)}?" if near else "")
-    problems.add(path, _phrase(node) or "something else", advice)
+    hint = f"did you mean {written(near)}?" if near else ""
+    if not hint and isinstance(value, str) and "number" in expected:
+        hint = _number_meant(value, problems.source)
+    problems.add(path, expected, "; ".join(part for part in (text, hint) if part))
+
+
+def _number_meant(text: str, source: Any) -> str:
+    """Advice on a text where a number is expected."""
+    parameters = source.get("parameters") if isinstance(source, dict) else None
+    if isinstance(parameters, dict) and (near := did_you_mean(text, parameters)):
+        return f'did you mean "${near}"?'
+    found = re.fullmatch(r"\s*([-+]?\d*[.,]?\d+(?:[eE][-+]?\d+)?)\s*([^\d\s.,]\S*)?\s*", text)
+    if not found:
+        return ""
+    return f"write {found[1].replace(',', '.')}, without quotes" + (" or unit" if found[2] else "")
 
 
 def _locate(error: dict[str, Any], tree: Any) -> tuple:

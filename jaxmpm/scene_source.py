@@ -28,14 +28,20 @@ def find(source: str | Path) -> Path:
     if isinstance(source, str) and source in names:
         return names[source]
     path = Path(source)
-    if path.suffix == ".toml" or path.is_file():
+    if path.is_dir():
+        run = (path / "summary.json").exists()
+        hint = f"it is a folder of results: jaxmpm plot {path} draws them" if run else "it is a folder"
+    elif path.is_file():
         return path
-    near = did_you_mean(source, names)
-    hint = f"did you mean {written(near)}?" if near else "a file's name ends in .toml"
-    raise SceneError(
-        f"scene = {written(str(source))}: expected a TOML file or one of {', '.join(names)} "
-        f"({hint})"
-    )
+    elif path.suffix == ".toml":
+        near = did_you_mean(path.stem, [one.stem for one in path.parent.glob("*.toml")])
+        near = str(path.with_name(f"{near}.toml")) if near else did_you_mean(path.stem, names)
+        hint = near and f"did you mean {written(near)}?"
+        hint = f"No such file; {hint or f'jaxmpm new {path} writes one'}"
+    else:
+        near = did_you_mean(source, names)
+        hint = f"did you mean {written(near)}?" if near else "a file's name ends in .toml"
+    raise SceneError(f"scene = {written(str(source))}: expected a TOML file or one of {', '.join(names)} ({hint})")
 
 
 def read(path: Path) -> dict[str, Any]:
@@ -52,7 +58,14 @@ def read(path: Path) -> dict[str, Any]:
             f"scene = {written(str(path))}: expected UTF-8 text (byte {error.start} is not)"
         ) from None
     except (ValueError, RecursionError) as error:
-        raise SceneError(f"scene = {written(str(path))}: expected TOML ({error})") from None
+        raise SceneError(f"scene = {written(str(path))}: expected TOML ({error}{_line(path, str(error))})") from None
+
+
+def _line(path: Path, error: str) -> str:
+    """The line of a file that an error names."""
+    found = re.search(r"at line (\d+)", error)
+    lines = path.read_text(encoding="utf-8").splitlines()
+    return f": {lines[int(found[1]) - 1].strip()}" if found and int(found[1]) <= len(lines) else ""
 
 
 def find_own_laws(tree: dict[str, Any], folder: Path) -> None:

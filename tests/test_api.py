@@ -71,6 +71,10 @@ def test_changes_are_texts_or_values_by_key():
     for wrong, said in (("grid.cell=5", "expected a list"), ({"grid.cell": "x"}, 'grid.cell = "x"'), ({"parameters.cel": 5}, "did you mean cell")):
         with pytest.raises(jaxmpm.SceneError, match=said):
             jaxmpm.load_scene("bar", wrong)
+    with pytest.raises(jaxmpm.SceneError, match='scene = "bar": expected a Scene'):
+        jaxmpm.run_scene("bar", "nowhere")
+    with pytest.raises(jaxmpm.ResultError, match="format = jpg: expected png, pdf or svg"):
+        jaxmpm.run_scene(texts, "nowhere", pictures="jpg")
     tree, value = {}, {"a": [1]}
     scene_source.override(tree, {"table": value})["table"]["a"].append(2)
     assert tree == {} and value == {"a": [1]}

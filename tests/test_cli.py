@@ -84,6 +84,17 @@ def test_verify_one_opening(tmp_path):
         ("benchmark points --set grid.cell=5", "--set = grid.cell=5: expected only with a scene"),
         ("verify patch --angle 10", "--angle = 10: expected only with the check opening"),
         ("benchmark dne", 'did you mean "den"?'),
+        ("rnu den", "rnu: did you mean run?"),
+        ("den", "did you mean jaxmpm run den?"),
+        ("run", "the following arguments are required: SCENE (see jaxmpm run --help)"),
+        ("run den --ste grid.cell=5", "run: unknown --ste (did you mean --set?)"),
+        ("run den --set grid.cell=5 solver.damping=0", "did you mean --set solver.damping=0?"),
+        ("run den more", "run: unknown more (see jaxmpm run --help)"),
+        ("run den --format jpeg", "run: --format: jpeg: expected one of png, pdf, svg"),
+        ("run den --samples few", "run: --samples: invalid int value: 'few'"),
+        ("verify patch --json FILE/v.json", "--json = FILE: expected a folder to write to, but FILE is a file"),
+        ("completion tcsh", "expected one of bash, zsh, fish"),
+        ("calibrate enrgy", "calibrate: enrgy: did you mean energy?"),
         ("run bar --out FILE", "--out = FILE: expected a folder to write to, but FILE is a file"),
         ("run bar --out FILE/in", "but FILE is a file"),
         ("plot DIR --stages --animate", "--animate: expected none with --stages"),
@@ -97,6 +108,32 @@ def test_options_that_do_not_go_together_are_named(arguments, words, tmp_path, c
     assert run(*arguments.replace("FILE", str(file)).split()) == cli.BAD_INPUT
     out, err = capsys.readouterr()
     assert not out and words.replace("FILE", str(file)) in err
+
+
+def test_no_command_shows_what_there_is(capsys):
+    assert run() == cli.BAD_INPUT
+    out, err = capsys.readouterr()
+    assert not out and "commands:" in err and "examples:" in err
+
+
+def test_results_elsewhere_are_found(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "results" / "den").mkdir(parents=True)
+    (tmp_path / "results" / "den" / "history.csv").write_text("time [s]\n")
+    (tmp_path / "mine.toml").write_text("a 1\n")
+    for arguments, words in (
+        ("plot results/den", "the run there has not ended: go on with it by --resume"),
+        ("plot den", "has the scene been run?"),
+        ("run min.toml", 'No such file; did you mean "mine.toml"?'),
+        ("run den.toml", 'did you mean "den"?'),
+        ("run other.toml", "jaxmpm new other.toml writes one"),
+        ("run results/den", "it is a folder"),
+        ("run mine.toml", "at line 1, column 3): a 1)"),
+    ):
+        assert run(*arguments.split()) == cli.BAD_INPUT and words in capsys.readouterr().err
+    (tmp_path / "results" / "den" / "summary.json").write_text("{}")
+    for arguments, words in (("plot den", "did you mean results/den?"), ("run results/den", "jaxmpm plot results/den draws them")):
+        assert run(*arguments.split()) == cli.BAD_INPUT and words in capsys.readouterr().err
 
 
 def test_a_row_with_one_side_says_which(monkeypatch, capsys):

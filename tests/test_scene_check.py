@@ -98,6 +98,12 @@ BULK = "materials.concrete.bulk"
         ("solver.gradient_limit=0", "> 0"),
         ("output.samples=1", "a whole number >= 2 (rows of history.csv)"),
         ("output.frames=1", "a whole number >= 2"),
+        ("cell=5", "(did you mean grid.cell?)"),
+        ("grid.damping=0.1", "(did you mean solver.damping?)"),
+        ("bodies.0.shape=[]", "(did you mean shapes?)"),
+        ("grid.cell=2,5", "write 2.5, without quotes)"),
+        ("grid.cell='5 mm'", "write 5, without quotes or unit)"),
+        ("solver.duration=fife", "a finite number > 0 (time to simulate, s)"),
     ],
 )
 def test_a_bad_value_is_named_with_its_path_and_what_is_expected(change, expected):
@@ -108,6 +114,11 @@ def test_a_bad_value_is_named_with_its_path_and_what_is_expected(change, expecte
     assert head == f"{path} = {shown(value)}"
     assert expected in said
     assert "pydantic" not in line and len(line) < 400
+
+
+def test_a_parameter_without_its_sign_is_recognised():
+    (line,) = lines_of("bar", ['grid.cell="cel"'])
+    assert line.endswith('did you mean "$cell"?)')
 
 
 def shown(value):

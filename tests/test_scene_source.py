@@ -133,7 +133,7 @@ def test_unreadable_files_are_scene_errors(tmp_path):
     assert "expected UTF-8 text" in lines_of(binary)[0]
     folder = tmp_path / "folder.toml"
     folder.mkdir()
-    assert "expected a file to read" in lines_of(folder)[0]
+    assert "it is a folder" in lines_of(folder)[0]
 
 
 @pytest.mark.parametrize("text", ["title = 'a'\ncell == 3\n", "a = 1\na = 2\n"])
