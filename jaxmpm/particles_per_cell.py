@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from jaxmpm.plot_style import ACCENT, FAINT, INK
 from jaxmpm.shape_functions import Cubic, Gimp, Linear, Quadratic
 from jaxmpm.verify_moving import Bar
 
@@ -11,6 +12,7 @@ FUNCTIONS = {
     "quadratic B-spline": lambda each: Quadratic(),
     "cubic B-spline": lambda each: Cubic(),
 }
+COLOURS = (ACCENT, FAINT, INK, "#5ab4e5")
 
 
 def particles_per_cell(cells=(16, 64), counts=(1, 2, 3, 4, 6, 8), amplitude=0.05) -> dict:
@@ -36,11 +38,10 @@ def plot_particles_per_cell(path, counts=(1, 2, 3, 4, 6, 8), errors=None) -> Non
     errors = particles_per_cell(counts=counts) if errors is None else errors
     figure = Figure(figsize=(4.6 * len(errors), 4.0), layout="constrained")
     panels = figure.subplots(1, len(errors), sharey=True, squeeze=False)[0]
-    colours = ("#b2182b", "#7f7f7f", "#2166ac", "#1b7837")
     every = np.concatenate([np.ravel(list(lines.values())) for lines in errors.values()])
     top = np.nanmax(every) * 3
     for axes, (cells, lines) in zip(panels, errors.items(), strict=True):
-        for (name, line), colour, marker in zip(lines.items(), colours, "ovsD", strict=True):
+        for (name, line), colour, marker in zip(lines.items(), COLOURS, "ovsD", strict=True):
             line = np.array(line)
             axes.plot(counts, line, color=colour, marker=marker, markersize=5, label=name)
             failed = np.array(counts)[~np.isfinite(line)]

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from jaxmpm.scene import Scene
 
 # Told apart by lightness too: matrix, inclusion, interface, and what an image has more.
-COLOURS = ("#e8e4da", "#5f7f9c", "#d9822b", "#2f4858", "#b7c9a8", "#8c6d8f", "#f2d38b", "#a3a9ae")
+COLOURS = ("#e8e4da", "#5f7f9c", "#d9822b", "#1f2f3f", "#a9d1b5", "#6e3b57", "#f2d38b", "#9aa0b5")
 MARGIN, ARROW = 0.13, 0.09  # of the longer side: room for arrows, and their length
 MOST = 9  # markers or arrows along a set
 LARGEST = 1_000_000  # cells of a scene that is drawn without being asked

@@ -30,7 +30,8 @@ STYLE = {
 }
 INK, ACCENT, FAINT, EDGE = "#1f3b5c", "#c2410c", "#8d96a0", "#3c434b"
 BAND = "#d9dde2"
-PHASES = ("#eceef1", "#d5dae0", "#e9e2d2", "#d8e5dc", "#e4dbe6", "#cfdfe8")
+# Pale, as cracks lie on them; blues and yellows of different lightness, which any kind of colour vision tells apart.
+PHASES = ("#eceef1", "#ccd6e3", "#efe2bf", "#b3bfcf", "#d6c493", "#9bb7d2")
 # Inches: the longest sides of the picture's frame, and the shortest that still holds a scale.
 WIDEST, TALLEST, SHORTEST = 6.2, 6.4, 1.3
 
