@@ -28,6 +28,10 @@ EXAMPLES = {
         ('eval "$(jaxmpm completion zsh)"', "in ~/.zshrc"),
         ("jaxmpm completion fish > ~/.config/fish/completions/jaxmpm.fish", "once"),
     ],
+    "chart": [
+        ("jaxmpm chart den --budget 10m", "error against time for cells, rates and solvers, drawn and tabled"),
+        ("jaxmpm chart den --budget 10m --resume", "go on with what has been measured"),
+    ],
     "phases": [
         ("jaxmpm phases plate.toml", "bodies, supports and loads, before a run"),
         ("jaxmpm phases rve --set mesostructure.seed=2 --out two.pdf", "another structure"),

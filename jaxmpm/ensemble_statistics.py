@@ -93,15 +93,15 @@ def common_axis(curves: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray
     are, and the loads on it (curves, AXIS), straight between samples. Where a displacement goes back the
     curve is passed over until it is larger again.
     """
-    onward = [_onward(*curve) for curve in curves]
-    low, high = max(x[0] for x, _ in onward), min(x[-1] for x, _ in onward)
-    places = np.concatenate([[low, high], *(x[(x > low) & (x < high)] for x, _ in onward)])
+    ahead = [onward(*curve) for curve in curves]
+    low, high = max(x[0] for x, _ in ahead), min(x[-1] for x, _ in ahead)
+    places = np.concatenate([[low, high], *(x[(x > low) & (x < high)] for x, _ in ahead)])
     axis = np.quantile(places, np.linspace(0.0, 1.0, AXIS))
     sign = np.sign(sum(x[np.abs(x).argmax()] for x, _ in curves)) or 1.0
-    return sign * axis, np.stack([np.interp(axis, *curve) for curve in onward])
+    return sign * axis, np.stack([np.interp(axis, *curve) for curve in ahead])
 
 
-def _onward(displacement: np.ndarray, load: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def onward(displacement: np.ndarray, load: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The rows at which the displacement, along the way that it goes, is larger than ever before."""
     along = displacement * (np.sign(displacement[np.abs(displacement).argmax()]) or 1.0)
     new = np.concatenate([[True], along[1:] > np.maximum.accumulate(along)[:-1]])

@@ -81,6 +81,14 @@ def find_reference(tree: dict[str, Any], folder: Path) -> None:
         raise SceneError(f"response.reference = {written(source)}: expected {error}") from None
 
 
+def read_reference_file(path: Path, displacement: str) -> dict[str, Any]:
+    """The numbers of a file of measurements over the gauge `displacement`, as a Reference has them; raises SceneError."""
+    try:
+        return _read(path, displacement)
+    except _Unfit as error:
+        raise SceneError(f"reference = {written(str(path))}: expected {error}") from None
+
+
 class _Unfit(Exception):
     """What is expected of a file and is not so."""
 

@@ -53,10 +53,10 @@ def run_scene(scene: Scene, directory, resume: bool = False, progress: bool = Tr
 
 
 class Recorder:
-    """One run and the files it writes."""
+    """One run and the files it writes; `seconds`: of wall time after which it stops with a RunError, None for never."""
 
-    def __init__(self, scene, directory, resume, progress, suffix):
-        self.scene, self.directory, self.suffix = scene, directory, suffix
+    def __init__(self, scene, directory, resume, progress, suffix, seconds=None):
+        self.scene, self.directory, self.suffix, self.seconds = scene, directory, suffix, seconds
         self.static = scene.solver.kind == "quasistatic"
         self.sim = (QuasiStatic if self.static else Simulation).of(scene)
         self.can_crack = self.sim.model.numerics.cracks
@@ -91,8 +91,8 @@ class Recorder:
             self.messages.append(f"t = 0 s: {met}: the run begins as points that move")
         return bool(met) or (frame == "auto" and len({body.velocity for body in self.scene.bodies}) > 1)
 
-    def run(self) -> Result:
-        """All samples, then pictures and summary."""
+    def run(self, pictures: bool = True) -> Result:
+        """All samples, then the summary and, if they are wanted, pictures."""
         status, error = "completed", None
         try:
             with terminate_as_interrupt():
@@ -111,7 +111,8 @@ class Recorder:
         self.cloud.close()
         summary = summarise(self, status)
         results.write_summary(self.directory, summary)
-        self._pictures()
+        if pictures:
+            self.draw()
         if error is not None:
             raise error
         return Result(self.directory, summary)
@@ -141,6 +142,8 @@ class Recorder:
             if clock.perf_counter() - saved > CHECKPOINT_SECONDS or self.complete:
                 self.save()
                 saved = clock.perf_counter()
+            if self.seconds is not None and self.wall_seconds() > self.seconds and not self.complete:
+                raise RunError(f"it takes longer than the {self.seconds:.3g} s that it was given")
 
     def _numbers(self):
         """Numbers of the samples to come."""
@@ -261,7 +264,8 @@ class Recorder:
         if self.safe is not None:
             restart.save(self)
 
-    def _pictures(self):
+    def draw(self):
+        """The pictures of what has been computed."""
         from jaxmpm import plot
 
         for before in drawn(self.directory):  # of another format maybe
