@@ -72,6 +72,7 @@ def _add_run(commands) -> None:
     run.add_argument("--format", choices=("png", "pdf", "svg"), default="png", help="of the pictures: png (default), pdf or svg")
     run.add_argument("--quiet", action="store_true", help="no progress")
     cli_ensemble.add_options(run)
+    cli_chart.add_options(run)
     run.set_defaults(command=_run)
 
 
@@ -153,6 +154,8 @@ def _keep_compiled():
 def _run(options) -> int:
     from jaxmpm.scene import load_scene
 
+    if cli_chart.wanted(options):
+        return cli_chart.run(options, _folder, _keep_compiled)
     if cli_ensemble.wanted(options):
         return cli_ensemble.run(options, _folder, _keep_compiled)
     scene = load_scene(options.scene, options.overrides)

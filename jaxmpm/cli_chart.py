@@ -77,3 +77,67 @@ def _until(value: float | None) -> float | None:
     if value is not None and not 0.0 < value < float("inf"):
         raise ResultError(f"--to = {value:g}: expected a displacement above zero, in the unit of the response's")
     return value
+
+
+# -- run --tolerance ----------------------------------------------------------------------------------
+
+NUMBERS = {"both": ("peak", "work"), "peak": ("peak",), "work": ("work",)}
+
+
+def add_options(run) -> None:
+    """Add the options of a tolerance to the parser of `jaxmpm run`."""
+    group = run.add_argument_group("a tolerance: the cheapest setting that is good enough is chosen, and why is said")
+    group.add_argument("--tolerance", metavar="SHARE", help="largest error of peak and work, such as 2%%")
+    group.add_argument("--of", choices=tuple(NUMBERS), help="what it holds for (default: both)")
+    group.add_argument("--finest", type=float, metavar="MM", help="the cells that errors are relative to (default: half the scene's)")
+    group.add_argument("--to", type=float, metavar="U", help="count the work up to this displacement (default: half the peak is left)")
+
+
+def wanted(options) -> bool:
+    """Whether a tolerance is asked for; raises ResultError for its options without it, and for what does not go with it."""
+    from jaxmpm.results import ResultError
+
+    if options.tolerance is None:
+        for name in ("of", "finest", "to"):
+            if (value := getattr(options, name)) is not None:
+                raise ResultError(f"--{name} = {value}: expected only with --tolerance")
+        return False
+    if options.samples is not None:
+        raise ResultError(f"--samples = {options.samples}: expected without --tolerance; choose a setting by one sample first")
+    if options.resume:
+        raise ResultError("--resume: expected without --tolerance, whose choice is made anew")
+    return True
+
+
+def run(options, folder, keep_compiled) -> int:
+    """Run within a tolerance; raises ResultError for options that cannot be."""
+    from jaxmpm.chart import Source
+
+    share = share_of("--tolerance", options.tolerance)
+    source = Source(options.scene, tuple(options.overrides))
+    directory = folder("--out", options.out or Path("results") / source.scene().name)
+    until = _until(options.to)
+    from jaxmpm.cli import report as report_run
+    from jaxmpm.tolerance import Asked, report as report_choice, run_within
+
+    keep_compiled()
+    asked = Asked(share, NUMBERS[options.of or "both"], options.finest, until)
+    summary = run_within(source, asked, directory, progress=not options.quiet)
+    if not options.quiet:
+        print(report_run(summary, directory))
+        print(report_choice(summary))
+    return 0
+
+
+def share_of(option: str, text: str) -> float:
+    """A share of 2% or 0.02; raises ResultError for anything else."""
+    from jaxmpm.results import ResultError
+
+    match = re.fullmatch(r"(\d+(?:\.\d*)?|\.\d+)\s*(%?)", text.strip())
+    value = float(match[1]) / (100 if match[2] else 1) if match else 0.0
+    if not SMALLEST <= value <= LARGEST:
+        raise ResultError(f"{option} = {text}: expected a share such as 2% or 0.02, from {SMALLEST:.2%} to {LARGEST:.0%}")
+    return value
+
+
+SMALLEST, LARGEST = 1e-4, 0.5

@@ -4,6 +4,7 @@ from jaxmpm.chart.reference import Reference, worst
 from jaxmpm.chart.settings import MODEL
 
 LEVELS = (0.05, 0.02, 0.01)  # errors that the sentence speaks of
+BETTER = 0.97  # of the error of the member before: what is hardly better is none
 SHORT = {"peak": "peak", "work": "work", "end": "energy at the end"}
 
 
@@ -17,8 +18,8 @@ def judged(records: list[dict], names: list[str], given: bool) -> list[dict]:
     able = [record for record in out if "error" in record and (given or not set(MODEL) & set(record["setting"]))]
     best = float("inf")
     for record in sorted(able, key=lambda one: (one["seconds"], one["error"])):
-        record["front"] = record["error"] < best
-        best = min(best, record["error"])
+        record["front"] = record["error"] < BETTER * best
+        best = record["error"] if record["front"] else best
     return out
 
 
@@ -35,12 +36,23 @@ def sentence(records: list[dict], reference: Reference) -> str:
         index = next((index for index, record in enumerate(members) if record["error"] <= level), None)
         if index is not None:
             tightest[index] = level
-    parts = [f"within {level:.0%} {members[index]['label']} ({seconds(members[index]['seconds'])})" for index, level in tightest.items()]
+    what = f"of {reference.words} ({' and '.join(SHORT[name] for name in reference.names)})"
+    parts = []
+    for index, level in tightest.items():
+        parts.append(f"within {100 * level:g} % {'' if parts else what}".strip() + f": {members[index]['label']} ({seconds(members[index]['seconds'])})")
     if not parts:
-        parts = [f"nothing within {LEVELS[0]:.0%}, nearest is {members[-1]['label']}, off by {members[-1]['error']:.1%}"]
-    if given := next((record for record in records if not record["setting"] and "error" in record), None):
-        parts.append(f"as given, {given['label']}, it takes {seconds(given['seconds'])} and is off by {given['error']:.1%}")
-    return f"{' and '.join(SHORT[name] for name in reference.names).capitalize()} against {reference.words}: {'; '.join(parts)}."
+        parts = [f"nothing is within {100 * LEVELS[0]:g} % {what}: {members[-1]['label']} is off by {percent(members[-1]['error'])}"]
+    given = next((record for record in records if not record["setting"] and "error" in record), None)
+    if given and given["error"] > 0.0:
+        parts.append(f"as given ({given['label']}) the scene takes {seconds(given['seconds'])} and is off by {percent(given['error'])}")
+    text = "; ".join(parts)
+    return f"{text[0].upper()}{text[1:]}."
+
+
+def percent(share: float) -> str:
+    """A share as it is printed, to two digits."""
+    value = 100 * share
+    return f"{value:.0f} %" if value >= 9.5 else f"{value:#.2g} %"
 
 
 def seconds(value: float) -> str:

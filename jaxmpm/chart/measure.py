@@ -80,12 +80,11 @@ class Stopwatch:
     def measure(self, setting: Setting, seconds: float, again: float) -> dict:
         """The record of a setting.
 
-        It may take `seconds`; it is repeated where it is quick and all repeats take less than `again` seconds.
+        It may take `seconds`; it is repeated where it is quick and the repeats take less than `again` seconds together.
         """
         record = {"setting": dict(setting), "key": key(setting), "label": label(setting, self.cell)}
         began = perf_counter()
         before = self.clock and self.clock.tick()
-        began_run = perf_counter()
         try:
             summary, outcome = run_setting(self.source, setting, seconds)
         except RunError as error:
@@ -94,18 +93,19 @@ class Stopwatch:
             return record | {"status": f"refused: {error}", "wall_seconds": perf_counter() - began}
         except jax.errors.JaxRuntimeError as error:  # as a rule the memory
             return record | {"status": f"failed: {str(error).splitlines()[0]}", "wall_seconds": perf_counter() - began}
-        took, besides = run_seconds(summary), perf_counter() - began_run
+        took = run_seconds(summary)
         if self.clock is None:
             self.clock = Clock(self.source, setting, took)
             before = self.clock.tick()
         pairs = [(took, before, self.clock.tick())]
+        besides = perf_counter() - began - took
         more = next((count for limit, count in REPEATS if took < limit), 1) - 1
-        for _ in range(more if more * besides < again else 0):
+        for _ in range(more if more * (took + besides) < again else 0):
             took = run_seconds(run_setting(self.source, setting, math.inf)[0])
             pairs.append((took, pairs[-1][2], self.clock.tick()))
         return record | {
             "status": "completed", "timings": [list(pair) for pair in pairs],
-            "compile_seconds": summary["compile_seconds"], "besides_seconds": besides - pairs[0][0],
+            "compile_seconds": summary["compile_seconds"], "besides_seconds": besides,
             "wall_seconds": perf_counter() - began, "outcome": outcome,
         } | {name: summary.get(name) for name in KEPT}  # fmt: skip
 

@@ -98,7 +98,8 @@ class Chart:
         first = not costs.timed
         foreseen = None if first else costs.seconds(setting)
         limit = self.left() if first else min(self.left(), max(PATIENCE * foreseen, LEAST))
-        self.records.append(self.stopwatch.measure(setting, limit, AGAIN * self.budget))
+        over = self.left() - (0.0 if first else foreseen + costs.overhead())
+        self.records.append(self.stopwatch.measure(setting, limit, AGAIN * min(self.budget, 10 * over)))
         self.judge()
         self.write()
         self.tell(self.records[-1], foreseen)

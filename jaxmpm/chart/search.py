@@ -8,6 +8,7 @@ from jaxmpm.chart.settings import MODEL, key
 
 FINEST = 0.5  # of the budget that the finest run may take
 ONE = 0.2  # of what is left that a choice by itself may take
+HALF = 0.5  # and what `tolerance` builds on
 LONGER = 1.5  # times what the finest run took: what takes longer is of no use
 
 
@@ -37,7 +38,8 @@ class Search:
         """The next setting worth a run besides those of the ladder, None where nothing is."""
         known = {record["key"] for record in records}
         longest = LONGER * max(record["seconds"] for record in self._ladder(records))
-        for share, settings in ((ONE, self._alone(records)), (1.0, self._together(records, costs, reference))):
+        stages = (ONE, self._alone(records)), (HALF, self._quick(records)), (1.0, self._together(records, costs, reference))
+        for share, settings in stages:
             found = []
             for setting in settings:
                 seconds = costs.seconds(setting)
@@ -57,6 +59,14 @@ class Search:
         base = self._ladder(records)[0]["setting"]
         for name, values in self.choices.items():
             yield from (base | {name: value} for value in values)
+
+    def _quick(self, records: list[dict]) -> Iterator[dict]:
+        """Faster loading in float32 on all cells of the ladder, which `jaxmpm run --tolerance` chooses from."""
+        if "float32" in self.choices.get("precision", ()):
+            for record in self._ladder(records):
+                yield record["setting"] | {"precision": "float32"}
+                for speed in (speed for speed in self.choices.get("speed", ()) if speed > 1.0):
+                    yield record["setting"] | {"speed": speed, "precision": "float32"}
 
     def _together(self, records: list[dict], costs: Costs, reference: Reference) -> Iterator[dict]:
         """Other cells for what is good, and choices that were tried alone put together, unless it will be beaten."""

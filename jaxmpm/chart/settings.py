@@ -79,10 +79,10 @@ def key(setting: Setting) -> str:
     return ", ".join(f"{name}={setting[name]}" for name in ("cell", *AXES) if name in setting)
 
 
-def cells(source: Source) -> tuple[list[float], dict[str, str]]:
+def cells(source: Source, finest: float = 0.0) -> tuple[list[float], dict[str, str]]:
     """The sizes of cells that a scene can be tried on, coarse to fine, mm, and why others cannot.
 
-    Halvings and doublings of its own, and sizes between where the bodies fill as much of the grid.
+    Halvings and doublings of its own, and sizes between where the bodies fill as much of the grid; none below `finest`.
     """
     from jaxmpm.layout import lay_out
 
@@ -90,7 +90,8 @@ def cells(source: Source) -> tuple[list[float], dict[str, str]]:
     found, refused, area = [], {}, _area(lay_out(own))
     for factor in sorted((*HALVINGS, *BETWEEN), reverse=True):
         cell = own.grid.cell * factor
-        if not all(math.isclose(size / cell, round(size / cell), abs_tol=1e-6) for size in own.grid.size):
+        whole = all(math.isclose(size / cell, round(size / cell), abs_tol=1e-6) for size in own.grid.size)
+        if cell < (1 - 1e-9) * finest or not whole:
             continue
         try:
             filled = _area(lay_out(source.scene(cell)))

@@ -1,0 +1,59 @@
+"""What a chart changes in a scene."""
+
+import numpy as np
+import pytest
+
+from jaxmpm.chart.settings import Source, apply, cells, choices, key, label
+from jaxmpm.layout import lay_out
+
+
+def test_faster_loading_shortens_every_history_and_changes_no_value():
+    slow, fast = (apply(Source("den_4a"), setting) for setting in ({}, {"speed": 2.0}))
+    assert fast.solver.duration == slow.solver.duration / 2
+    for one, other in zip((*slow.forces, *slow.displacements), (*fast.forces, *fast.displacements), strict=True):
+        assert other.history.value == one.history.value
+        np.testing.assert_allclose(np.array(other.history.time) * 2, one.history.time)
+        assert other.history.smooth_start == one.history.smooth_start / 2
+    volume = apply(Source("rve"), {"speed": 4.0})
+    assert volume.macro.history.time[-1] == pytest.approx(0.25e-3)
+
+
+def test_cells_change_by_the_parameter_that_other_numbers_follow():
+    scene = apply(Source("bar"), {"cell": 5.0})
+    weak = lay_out(scene).owner == 1
+    assert weak.any(axis=1).sum() == 1  # still one column
+
+
+def test_cells_that_would_lose_a_notch_are_refused_and_the_finest_is_kept():
+    sizes, refused = cells(Source("beam"), finest=1.25)
+    assert sizes == [2.5, 1.25] and "at least a cell wide" in refused["5 mm"]
+
+
+def test_another_law_has_the_strength_and_the_fracture_energy_of_the_first():
+    band = apply(Source("den"), {"law": "hordijk"}).materials["concrete"].band
+    assert (band.law, band.ft) == ("cohesive", 3.0)
+    assert band.GF == pytest.approx(0.110036, rel=1e-5)
+
+
+def test_equilibrium_leaves_out_what_only_motion_needs():
+    found, refused = choices(Source("rve"), moved=False)
+    scene = apply(Source("rve"), {"solver": "time", "speed": 1.0})
+    assert scene.solver.kind == "quasistatic" and scene.solver.damping == 0.02
+    assert "time" in found["solver"] and not any("equilibrium" == name for name in refused)
+
+
+@pytest.mark.parametrize("name", ["discs", "brazil"])
+def test_where_the_motion_is_the_matter_it_is_not_made_faster(name):
+    assert "speed" not in choices(Source(name), moved=True)[0]
+
+
+def test_points_in_cells_are_a_choice_only_where_points_move():
+    assert choices(Source("discs"), moved=True)[0]["per_side"] == [1, 3]
+    assert "per_side" not in choices(Source("den"), moved=False)[0]
+
+
+def test_a_setting_is_named_in_words_and_told_from_others():
+    setting = {"precision": "float32", "speed": 2.0, "cell": 5.0}
+    assert label(setting, 2.5) == "5 mm, twice as fast, float32"
+    assert label({}, 2.5) == "2.5 mm"
+    assert key(setting) == key(dict(reversed(setting.items()))) != key({"cell": 5.0})

@@ -1,0 +1,98 @@
+"""`jaxmpm run SCENE --tolerance`: what is chosen, what is said, what is refused."""
+
+import json
+
+import pytest
+from chart_scene import write_scene
+
+from jaxmpm import cli, tolerance
+from jaxmpm.chart.classes import Experience
+from jaxmpm.results import read_history
+from jaxmpm.run import run_scene
+from jaxmpm.scene import load_scene
+
+HASTY = True
+
+
+def test_a_share_is_read_as_it_is_written():
+    from jaxmpm.cli_chart import share_of
+
+    assert share_of("--tolerance", "2%") == share_of("--tolerance", "0.02") == share_of("--tolerance", " 2 % ") == 0.02
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ("--tolerance 2", "--tolerance = 2: expected a share such as 2% or 0.02, from 0.01% to 50%"),
+        ("--tolerance 0%", "--tolerance = 0%: expected"),
+        ("--tolerance -1%", "--tolerance"),
+        ("--tolerance two", "--tolerance = two: expected"),
+        ("--tolerance 80%", "--tolerance = 80%: expected"),
+        ("--tolerance nan%", "--tolerance = nan%: expected"),
+        ("--of peak", "--of = peak: expected only with --tolerance"),
+        ("--finest 1", "--finest = 1.0: expected only with --tolerance"),
+        ("--tolerance 2% --samples 3", "--samples = 3: expected without --tolerance"),
+        ("--tolerance 2% --resume", "--resume: expected without --tolerance"),
+        ("--tolerance 2% --finest 5", "--finest = 5: expected a size of cells up to the scene's own, 2.5 mm"),
+        ("--tolerance 2% --finest 1.7", "grid.cell = 1.7"),
+        ("--tolerance 2% --to 0", "--to = 0: expected a displacement above zero"),
+        ("--tolerance 2% --set grid.cel=1", "grid.cel = 1"),
+    ],
+)
+def test_what_cannot_be_is_refused_before_anything_runs(options, words, tmp_path, capsys):
+    try:
+        code = cli.main(["run", "den", "--out", str(tmp_path / "none"), *options.split(" ")])
+    except SystemExit as error:  # the parser's own refusal of a value that looks like an option
+        code = error.code
+    assert code == cli.BAD_INPUT
+    out, err = capsys.readouterr()
+    assert words in err and not out and not (tmp_path / "none").exists()
+
+
+@pytest.fixture(scope="module")
+def block(tmp_path_factory):
+    """The block and what it gives on its finest cells."""
+    folder = tmp_path_factory.mktemp("tolerance")
+    path = write_scene(folder)
+    text = path.read_text().replace("cell = 10.0", "cell = 5.0")
+    path.write_text(text)
+    return path, run_scene(load_scene(path, ["grid.cell=2.5"]), folder / "fine", progress=False)
+
+
+def choose(path, out, capsys, *options):
+    assert cli.main(["run", str(path), "--out", str(out), *options]) == 0
+    return json.loads((out / "summary.json").read_text()), capsys.readouterr()
+
+
+def test_of_a_kind_that_was_not_charted_two_coarser_runs_tell(block, tmp_path, capsys):
+    path, fine = block
+    summary, (out, err) = choose(path, tmp_path, capsys, "--tolerance", "10%", "--of", "peak")
+    found = summary["tolerance"]
+    assert abs(summary["peak_load"] / fine["peak_load"] - 1) <= 0.1
+    assert set(found["choices"]) <= {"cell"} and found["quick_runs"] == 2 and found["charts"] == []
+    assert 0.0 < found["expected_errors"]["peak"] <= 0.1 and found["against_cells"] == 2.5
+    assert f"chosen: {found['setting']}" in out and summary["cell_size"] < 10.0 and "the estimate held" in out and "10 % of peak asked" in out and "quick runs:" in err
+    assert (tmp_path / "response.png").exists() and len(read_history(tmp_path / "history.csv")["load"]) == 21
+    quick = json.loads((tmp_path / "tolerance.json").read_text())["quick"]["runs"]
+    assert [run["cell"] for run in quick] == [20.0, 10.0]
+
+
+def test_where_nothing_is_good_enough_the_finest_cells_are_run(block, tmp_path, capsys):
+    path, fine = block
+    summary, (out, _) = choose(path, tmp_path, capsys, "--tolerance", "0.01%")
+    assert summary["peak_load"] == fine["peak_load"] and summary["cell_size"] == 2.5
+    assert "errors are relative to this very run" in out
+
+
+def test_faster_loading_is_chosen_as_charts_of_the_kind_allow_and_given_up_where_it_moves_more(block, tmp_path, capsys, monkeypatch):
+    path, fine = block
+    runs = [{"setting": {"cell": 5.0} | choice, "seconds": 1.0, "peak": 1.0 + shift, "work": 1.0 + shift}
+            for choice, shift in (({}, 0.0), ({"precision": "float32"}, 1e-6), ({"speed": 2.0, "precision": "float32"}, 1e-3),
+                                  ({"speed": 4.0, "precision": "float32"}, 5e-3))]  # fmt: skip
+    known = Experience("elastic", [{"scene": "another", "kind": "elastic", "cell": 5.0, "runs": runs}])
+    monkeypatch.setattr(tolerance, "Experience", lambda kind: known)
+    summary, (out, err) = choose(path, tmp_path, capsys, "--tolerance", "20%")
+    found = summary["tolerance"]
+    assert "4× as fast, float32" in err and found["charts"] == ["another"]
+    assert abs(summary["peak_load"] / fine["peak_load"] - 1) <= 0.2
+    assert found["tried_before"] or found["choices"].get("speed", 1.0) > 1.0
