@@ -25,6 +25,10 @@ class RunError(RuntimeError):
     """A run that started and could not go on."""
 
 
+class OutOfTime(RunError):
+    """A run that took longer than it was given."""
+
+
 def written(value: Any, limit: int = 100) -> str:
     """A value the way TOML writes it, cut to `limit` characters."""
     text = _toml(value)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxmpm import restart, results, walls
-from jaxmpm.errors import RunError, SceneError, written
+from jaxmpm.errors import OutOfTime, RunError, SceneError, written
 from jaxmpm.moving_simulation import MOVING_FIELDS, MovingSimulation
 from jaxmpm.progress import Progress
 from jaxmpm.quasistatic import QuasiStatic
@@ -53,7 +53,7 @@ def run_scene(scene: Scene, directory, resume: bool = False, progress: bool = Tr
 
 
 class Recorder:
-    """One run and the files it writes; `seconds`: of wall time after which it stops with a RunError, None for never."""
+    """One run and the files it writes; `seconds`: of wall time after which it stops with OutOfTime, None for never."""
 
     def __init__(self, scene, directory, resume, progress, suffix, seconds=None):
         self.scene, self.directory, self.suffix, self.seconds = scene, directory, suffix, seconds
@@ -143,7 +143,7 @@ class Recorder:
                 self.save()
                 saved = clock.perf_counter()
             if self.seconds is not None and self.wall_seconds() > self.seconds and not self.complete:
-                raise RunError(f"it takes longer than the {self.seconds:.3g} s that it was given")
+                raise OutOfTime(f"it takes longer than the {self.seconds:.3g} s that it was given")
 
     def _numbers(self):
         """Numbers of the samples to come."""

@@ -77,12 +77,14 @@ class _Choice:
     def run(self) -> dict:
         """Quick runs, the choice, its run, and whether it turned out as expected."""
         estimate = self._quick_runs()
-        settings = estimate.settings(self.sizes, self._precisions()) if len(estimate.runs) > 1 else []
         last, tried = ({} if self.finest == self.own else {"cell": self.finest}), []
         while True:
+            settings = estimate.settings(self.sizes, self._precisions()) if len(estimate.runs) > 1 else []
             chosen = estimate.cheapest([one for one in settings if one not in tried], self.asked.tolerance)
             chosen = last if chosen is None else chosen
             exact = chosen == last
+            if not exact and self._between(estimate, chosen.get("cell", self.own)):
+                continue
             expected = dict.fromkeys(self.names, 0.0) if exact else estimate.of(chosen)
             self._tell_choice(estimate, chosen, expected)
             recorder = Recorder(apply(self.source, chosen), self.directory, resume=False, progress=self.progress)
@@ -132,6 +134,17 @@ class _Choice:
         except SceneError:
             return False
         return "speed" not in quick or bool(_driven(self.scene))
+
+    def _between(self, estimate: Estimate, cell: float) -> bool:
+        """Whether a size of cells had no quick run yet, and has now or is given up: it need not behave like larger and smaller ones."""
+        if not estimate.quick or cell in estimate.runs:
+            return False
+        try:
+            self._quick(estimate, cell)
+        except RunError as error:
+            self.say(f"  {cell:.4g} mm: {error}")
+            self.sizes.remove(cell)
+        return True
 
     def _coarser(self, estimate: Estimate) -> Estimate:
         """Quick runs on larger cells, as long as these are good enough by themselves."""

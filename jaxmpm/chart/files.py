@@ -8,6 +8,7 @@ from jaxmpm.restart import difference
 from jaxmpm.results import ResultError, read_object, write_object, write_table
 
 NAME = "chart.json"
+GIVEN_UP = "given up"  # how the status of a run begins that another budget may bring to its end
 COLUMNS = {
     "label": "setting", "status": "status", "front": "front", "seconds": "seconds [s]", "low": "low [s]", "high": "high [s]",
     "compile_seconds": "compilation [s]", "steps": "steps", "cells": "cells", "cracked": "cracked", "error": "error",
@@ -43,7 +44,7 @@ def table(chart: dict) -> list[dict]:
 
 
 def kept(directory: Path, scene: dict) -> list[dict]:
-    """The runs of a chart to go on with, none where there is no chart; raises ResultError where it is of another scene."""
+    """The runs of a chart to go on with, but those that took too long, none where there is no chart; raises ResultError where it is of another scene."""
     if not (directory / NAME).exists():
         return []
     chart = read_chart(directory)
@@ -52,7 +53,7 @@ def kept(directory: Path, scene: dict) -> list[dict]:
             f"{directory / NAME}: the scene differs from that of the chart so far ({difference(chart['scene'], scene)}); go on "
             "with the same scene and --set, or without --resume to start anew"
         )
-    return chart["runs"]
+    return [record for record in chart["runs"] if not record["status"].startswith(GIVEN_UP)]
 
 
 def provenance() -> dict:

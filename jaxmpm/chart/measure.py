@@ -8,13 +8,16 @@ from time import perf_counter
 
 import jax
 
+from jaxmpm.chart.files import GIVEN_UP
 from jaxmpm.chart.outcome import outcome_of
 from jaxmpm.chart.settings import Setting, Source, apply, key, label
-from jaxmpm.errors import RunError, SceneError
+from jaxmpm.errors import OutOfTime, RunError, SceneError
 from jaxmpm.run import Recorder
 from jaxmpm.scene import Scene
 
-CLOCK = 0.7  # s: how long the piece takes that the machine's speed is told by
+CLOCK = 0.7  # s: how long the piece takes, about, that the machine's speed is told by
+SUDDEN = 1.3  # ratio of two pieces from which on one is not trusted by itself
+AGAIN = 0.3  # of what a run took besides the first time, files and compilation: what it takes besides when repeated
 REPEATS = ((3.0, 3), (12.0, 2))  # runs shorter than so many seconds are timed so many times
 KEPT = ("cells", "cracked", "steps", "frame", "precision", "cell_size", "energy_error", "load_unit", "displacement_unit")
 
@@ -52,17 +55,23 @@ class Clock:
     def __init__(self, source: Source, setting: Setting, seconds: float):
         """`setting`: of a run that took so many `seconds`; of it the first part is taken."""
         tree = _without_frames(apply(source, setting)).to_dict()
-        tree["solver"]["duration"] *= min(1.0, CLOCK / seconds)
+        tree["solver"]["duration"] *= min(1.0, 2 * CLOCK / seconds)  # it begins elastic, with quick steps
         tree["output"]["samples"] = 10
         self.scene, self.ticks = Scene.from_dict(tree), []
         self.tick()  # compiles
         self.ticks.clear()
 
     def tick(self) -> float:
-        """Seconds of the piece now."""
+        """Seconds of the piece now; the middle of three where it is not as it was."""
+        now = self._piece()
+        if self.ticks and not 1 / SUDDEN < now / self.ticks[-1] < SUDDEN:
+            now = median([now, self._piece(), self._piece()])
+        self.ticks.append(now)
+        return now
+
+    def _piece(self) -> float:
         with tempfile.TemporaryDirectory(prefix="jaxmpm-chart-") as directory:
-            self.ticks.append(run_seconds(_recorded(self.scene, directory, math.inf)))
-        return self.ticks[-1]
+            return run_seconds(_recorded(self.scene, directory, math.inf))
 
 
 class Stopwatch:
@@ -87,6 +96,8 @@ class Stopwatch:
         before = self.clock and self.clock.tick()
         try:
             summary, outcome = run_setting(self.source, setting, seconds)
+        except OutOfTime as error:
+            return record | {"status": f"{GIVEN_UP}: {error}", "wall_seconds": perf_counter() - began}
         except RunError as error:
             return record | {"status": f"stopped: {error}", "wall_seconds": perf_counter() - began}
         except SceneError as error:
@@ -100,7 +111,7 @@ class Stopwatch:
         pairs = [(took, before, self.clock.tick())]
         besides = perf_counter() - began - took
         more = next((count for limit, count in REPEATS if took < limit), 1) - 1
-        for _ in range(more if more * (took + besides) < again else 0):
+        for _ in range(more if more * (took + AGAIN * besides) < again else 0):
             took = run_seconds(run_setting(self.source, setting, math.inf)[0])
             pairs.append((took, pairs[-1][2], self.clock.tick()))
         return record | {

@@ -17,7 +17,7 @@ from jaxmpm.run import terminate_as_interrupt
 
 BUDGET = 600.0  # s
 AT_THE_END = 5.0  # s, for the picture
-PATIENCE, LEAST = 3.0, 10.0  # a run is stopped at so many times what was foreseen, and so many seconds
+PATIENCE, LEAST = 3.0, 40.0  # a run is given up after so many times what was foreseen, and so many seconds: it may have to be compiled
 AGAIN = 0.05  # of the budget that repeats of one setting may take
 
 

@@ -10,7 +10,7 @@ from chart_scene import Machine, write_scene
 from jaxmpm import cli
 from jaxmpm.chart import draw_chart, read_chart, table
 from jaxmpm.chart import run as charts
-from jaxmpm.chart.front import front, judged, percent, sentence
+from jaxmpm.chart.front import front, judged, percent
 from jaxmpm.chart.settings import Source
 from jaxmpm.errors import RunError
 
