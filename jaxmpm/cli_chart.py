@@ -104,8 +104,6 @@ def wanted(options) -> bool:
         return False
     if options.samples is not None:
         raise ResultError(f"--samples = {options.samples}: expected without --tolerance; choose a setting by one sample first")
-    if options.resume:
-        raise ResultError("--resume: expected without --tolerance, whose choice is made anew")
     return True
 
 
@@ -122,7 +120,7 @@ def run(options, folder, keep_compiled) -> int:
 
     keep_compiled()
     asked = Asked(share, NUMBERS[options.of or "both"], options.finest, until)
-    summary = run_within(source, asked, directory, progress=not options.quiet)
+    summary = run_within(source, asked, directory, options.resume, progress=not options.quiet)
     if not options.quiet:
         print(report_run(summary, directory))
         print(report_choice(summary))

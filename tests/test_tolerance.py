@@ -32,7 +32,6 @@ def test_a_share_is_read_as_it_is_written():
         ("--of peak", "--of = peak: expected only with --tolerance"),
         ("--finest 1", "--finest = 1.0: expected only with --tolerance"),
         ("--tolerance 2% --samples 3", "--samples = 3: expected without --tolerance"),
-        ("--tolerance 2% --resume", "--resume: expected without --tolerance"),
         ("--tolerance 2% --finest 5", "--finest = 5: expected a size of cells up to the scene's own, 2.5 mm"),
         ("--tolerance 2% --finest 1.7", "grid.cell = 1.7"),
         ("--tolerance 2% --to 0", "--to = 0: expected a displacement above zero"),
@@ -75,6 +74,10 @@ def test_of_a_kind_that_was_not_charted_two_coarser_runs_tell(block, tmp_path, c
     assert (tmp_path / "response.png").exists() and len(read_history(tmp_path / "history.csv")["load"]) == 21
     quick = json.loads((tmp_path / "tolerance.json").read_text())["quick"]["runs"]
     assert [run["cell"] for run in quick] == [20.0, 10.0]
+    again, (_, err) = choose(path, tmp_path, capsys, "--tolerance", "10%", "--of", "peak", "--resume")
+    assert "taken over from before" in err and "already complete" in err and again["peak_load"] == summary["peak_load"]
+    assert cli.main(["run", str(path), "--out", str(tmp_path), "--tolerance", "5%", "--of", "peak", "--resume"]) == cli.BAD_INPUT
+    assert "asked.tolerance was 0.1 and is 0.05" in capsys.readouterr().err
 
 
 def test_where_nothing_is_good_enough_the_finest_cells_are_run(block, tmp_path, capsys):

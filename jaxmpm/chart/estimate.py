@@ -125,3 +125,10 @@ class Estimate:
             seen = abs(self.runs[cell][name] / numbers[name] - 1) * (speed - 1) / (fast - speed)
             found[name] = before[name] - self.of_rate(name, speed, cell > self.own) + seen
         return found
+
+    def learn(self, setting: dict, expected: dict[str, float], after: dict[str, float]) -> None:
+        """Expect more of the loading rate from now on, as it was seen `afterwards`."""
+        for name in self.names:
+            before = self.of_rate(name, setting.get("speed", 1.0), setting.get("cell", self.own) > self.own)
+            if before and after[name] > expected[name]:
+                self.rates[name] = max(self.rates.get(name, 1.0), 1.0) * (before + after[name] - expected[name]) / before

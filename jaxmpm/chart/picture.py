@@ -64,7 +64,8 @@ def draw_chart(axes: Axes, chart: dict, measure: str = "error", numbered: bool =
         _draw_front(axes, [(one["seconds"], max(measured(one, measure), edge)) for one in front(chart["runs"])], measure)
     axes.margins(0.06, 0.12)
     axes.set_ylim(edge, None)
-    _draw_failed(axes, chart["runs"])
+    if numbered:
+        _draw_failed(axes, chart["runs"])
     _draw_floor(axes, chart["reference"], measure)
     axes.grid(color="#e4e4e4", lw=0.6, which="major")
     axes.set_axisbelow(True)

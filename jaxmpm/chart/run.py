@@ -10,7 +10,7 @@ from jaxmpm.chart.costs import Costs
 from jaxmpm.chart.files import kept, provenance, write_chart
 from jaxmpm.chart.front import judged, seconds, sentence
 from jaxmpm.chart.measure import Stopwatch, with_seconds
-from jaxmpm.chart.search import Search
+from jaxmpm.chart.search import FINEST, Search
 from jaxmpm.chart.settings import Source, cells, choices
 from jaxmpm.errors import RunError, SceneError
 from jaxmpm.run import terminate_as_interrupt
@@ -83,7 +83,7 @@ class Chart:
         """All that is worth a run and fits into the budget."""
         self.judge()
         while (setting := self.search.ladder(self.records, self.costs(), self.budget, self.left())) is not None:
-            self.one(setting)
+            self.one(setting, at_least=FINEST * self.budget)
         if self.reference is None:
             return
         moved = any("updated" in (record.get("frame") or "") for record in self.records)
@@ -92,12 +92,12 @@ class Chart:
         while (setting := self.search.further(self.records, self.costs(), self.left(), self.reference)) is not None:
             self.one(setting)
 
-    def one(self, setting: dict) -> None:
-        """Measure a setting, and judge all with it."""
+    def one(self, setting: dict, at_least: float = LEAST) -> None:
+        """Measure a setting, and judge all with it; it may take `at_least` so many seconds."""
         costs = self.costs()
         first = not costs.timed
         foreseen = None if first else costs.seconds(setting)
-        limit = self.left() if first else min(self.left(), max(PATIENCE * foreseen, LEAST))
+        limit = self.left() if first else min(self.left(), max(PATIENCE * foreseen, at_least))
         over = self.left() - (0.0 if first else foreseen + costs.overhead())
         self.records.append(self.stopwatch.measure(setting, limit, AGAIN * min(self.budget, 10 * over)))
         self.judge()
