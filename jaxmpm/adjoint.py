@@ -17,7 +17,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmpm import grid
 from jaxmpm.bands_adjoint import Answered, Lasting, elastic_pulled_back, onset_pulled_back, pulled_back, ratio_slopes
 from jaxmpm.bands_static import TOGETHER
 from jaxmpm.condensed import GRIP, Condensed
@@ -147,7 +146,7 @@ class WayBack:
         return jax.tree.map(jnp.add, self.laws, elastic_pulled_back(self.model, by_cells))
 
     def _step(self, step, before, by_reading, onset):
-        structure, system, found, k = self.structure, self.system, step.found, step.cells
+        structure, found, k = self.structure, step.found, step.cells
         by_force = by_reading @ self.tape.gauges.of_force
         by_displacement = self.displacement + by_reading @ self.tape.gauges.of_displacement
         tangent = found.answers.tangent[:k] if k else np.zeros((0, MEAN, MEAN))

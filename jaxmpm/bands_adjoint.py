@@ -47,7 +47,7 @@ def pulled_back(model, pool, before, unknowns, status, strain, by: Answered):
     Returns:
         derivatives by the model's laws (`Embedding`), by `Lasting`, and by the softening before (capacity,).
     """
-    n, capacity = model.numerics, pool.cell.shape[0]
+    n = model.numerics
     material = model.material.reshape(-1)
     band = bands.bands_of(pool, n.size)
     lasting = Lasting(band.normal, band.size, band.onset_strain)
