@@ -48,7 +48,7 @@ def test_the_mesostructure_and_the_image_are_tables_of_a_scene(tmp_path):
 
 
 def test_the_point_by_itself_runs(tmp_path, monkeypatch, capsys):
-    _, law, point, _ = blocks("python")
+    _, law, point, *_ = blocks("python")
     (tmp_path / "my_laws.py").write_text(law)
     monkeypatch.syspath_prepend(tmp_path)
     exec(compile(point, "README.md", "exec"), {})
