@@ -5,6 +5,7 @@ from pathlib import Path
 
 UNITS = {"": 1.0, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0}
 LONGEST = 7 * 86400.0  # s
+CHOICES = ("solver", "speed", "step", "precision", "frame", "shape", "per_side", "size", "window", "law")
 
 
 def add_command(commands, run) -> None:
@@ -24,6 +25,9 @@ def add_command(commands, run) -> None:
         help="what errors are relative to: auto (what finer and finer cells tend to, where they do, else the finest run; "
         "the default), finest, a CSV file as of response.reference, or history.csv of another run",
     )  # fmt: skip
+    chart.add_argument(
+        "--choices", metavar="A,B,…", help=f"which choices to try besides cells, of {', '.join(CHOICES)} (default: all)"
+    )
     chart.add_argument("--to", type=float, metavar="U", help="count the work up to this displacement (default: half the peak is left)")
     chart.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", dest="overrides",
@@ -40,11 +44,11 @@ def chart(options, folder, keep_compiled) -> int:
     budget = seconds_of("--budget", options.budget)
     source = Source(options.scene, tuple(options.overrides))
     directory = folder("--out", options.out or Path("results") / f"{source.scene().name}_chart")
-    until = _until(options.to)
+    until, only = _until(options.to), _choices(options.choices)
     from jaxmpm.chart import chart_scene
 
     keep_compiled()
-    found = chart_scene(source, directory, budget, options.resume, options.reference, until, progress=not options.quiet)
+    found = chart_scene(source, directory, budget, options.resume, options.reference, until, only, progress=not options.quiet)
     if not options.quiet:
         print(report(found, directory))
     return 0
@@ -69,6 +73,18 @@ def seconds_of(option: str, text: str) -> float:
     if not 0.0 < value <= LONGEST:
         raise ResultError(f"{option} = {text}: expected a time such as 90s, 10m or 1h, up to a week")
     return value
+
+
+def _choices(text: str | None) -> tuple[str, ...]:
+    """The choices that are named; raises ResultError for a name that is none."""
+    from jaxmpm.errors import near_or
+    from jaxmpm.results import ResultError
+
+    names = CHOICES if text is None else tuple(name.strip() for name in text.split(","))
+    for name in names:
+        if name not in CHOICES:
+            raise ResultError(f"--choices = {text}: expected names of choices, {name or 'an empty one'} is none ({near_or(name, CHOICES)})")
+    return names
 
 
 def _until(value: float | None) -> float | None:

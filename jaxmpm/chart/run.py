@@ -11,7 +11,7 @@ from jaxmpm.chart.files import kept, provenance, write_chart
 from jaxmpm.chart.front import judged, seconds, sentence
 from jaxmpm.chart.measure import Stopwatch, with_seconds
 from jaxmpm.chart.search import FINEST, Search
-from jaxmpm.chart.settings import Source, cells, choices
+from jaxmpm.chart.settings import AXES, Source, cells, choices
 from jaxmpm.errors import RunError, SceneError
 from jaxmpm.run import terminate_as_interrupt
 
@@ -23,7 +23,7 @@ AGAIN = 0.05  # of the budget that repeats of one setting may take
 
 def chart_scene(
     source: Source, directory, budget: float = BUDGET, resume: bool = False, reference: str = "auto",
-    until: float | None = None, progress: bool = True,
+    until: float | None = None, only: tuple[str, ...] = tuple(AXES), progress: bool = True,
 ) -> dict:  # fmt: skip
     """Chart speed against accuracy of a scene; returns what chart.json says.
 
@@ -35,11 +35,12 @@ def chart_scene(
         reference: "auto": what the numbers tend to where they do so steadily, else the finest run; "finest"; or a CSV
             file (as of response.reference, or history.csv of another run).
         until: displacement up to which the work is counted, None for where the load has fallen to half its peak.
+        only: the choices to try besides cells, names of `settings.AXES`.
         progress: whether to say how far it is, on stderr.
 
     Raises SceneError and ResultError before anything runs, RunError where not one setting came to its end.
     """
-    chart = Chart(source, Path(directory), budget, resume, reference, until, progress)
+    chart = Chart(source, Path(directory), budget, resume, reference, until, only, progress)
     try:
         with terminate_as_interrupt():
             chart.measure()
@@ -58,8 +59,8 @@ def chart_scene(
 class Chart:
     """One chart in the making."""
 
-    def __init__(self, source, directory, budget, resume, reference, until, progress):
-        self.began = perf_counter()
+    def __init__(self, source, directory, budget, resume, reference, until, only, progress):
+        self.began, self.only = perf_counter(), only
         self.source, self.directory, self.budget, self.progress = source, directory, budget, progress
         self.scene = source.scene()
         self.tree = json.loads(json.dumps(self.scene.to_dict()))
@@ -87,7 +88,8 @@ class Chart:
         if self.reference is None:
             return
         moved = any("updated" in (record.get("frame") or "") for record in self.records)
-        self.search.choices, refused = choices(self.source, moved)
+        allowed, refused = choices(self.source, moved)
+        self.search.choices = {name: values for name, values in allowed.items() if name in self.only}
         self.refused |= refused
         while (setting := self.search.further(self.records, self.costs(), self.left(), self.reference)) is not None:
             self.one(setting)

@@ -9,6 +9,7 @@ from jaxmpm.chart.settings import MODEL, key
 FINEST = 0.5  # of the budget that the finest run may take
 ONE = 0.2  # of what is left that a choice by itself may take
 HALF = 0.5  # and what `tolerance` builds on
+COARSE = 2.1  # times the scene's cells: coarser ones may be another problem
 LONGER = 1.5  # times what the finest run took: what takes longer is of no use
 
 
@@ -55,8 +56,9 @@ class Search:
         return sorted(done, key=lambda record: -record["cell_size"])
 
     def _alone(self, records: list[dict]) -> Iterator[dict]:
-        """Each choice by itself, on the coarsest cells that came to an end."""
-        base = self._ladder(records)[0]["setting"]
+        """Each choice by itself, on the coarsest cells that came to an end, but not much coarser ones than the scene's."""
+        ladder = self._ladder(records)
+        base = next((record for record in ladder if record["cell_size"] <= COARSE * self.cell), ladder[-1])["setting"]
         for name, values in self.choices.items():
             yield from (base | {name: value} for value in values)
 

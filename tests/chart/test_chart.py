@@ -56,6 +56,15 @@ def test_choices_that_pay_are_put_together_and_those_that_do_not_are_dropped(mac
     assert sum("law=" in key for key in keys) == 2 and not any(record["front"] for record in found["runs"] if "law" in record["setting"])
 
 
+def test_only_the_choices_that_are_named_are_tried(machine, tmp_path):
+    from jaxmpm.chart.settings import AXES
+    from jaxmpm.cli_chart import CHOICES
+
+    found = chart(machine, tmp_path, 400.0, only=("precision",))
+    assert {name for record in found["runs"] for name in record["setting"]} == {"cell", "precision"}
+    assert CHOICES == tuple(AXES)
+
+
 def test_a_run_that_fails_is_recorded_with_its_reason_and_the_chart_goes_on(machine, tmp_path):
     machine.fails = lambda setting: setting.get("speed") == 4.0
     found = chart(machine, tmp_path, 300.0)
@@ -166,6 +175,7 @@ def test_a_run_that_takes_too_long_is_given_up(tmp_path):
         ("--budget 0s", "--budget = 0s: expected"),
         ("--to -1", "--to = -1: expected a displacement above zero"),
         ("--reference none.csv", "none.csv"),
+        ("--choices speed,precison", "precison is none (did you mean precision?)"),
         ("--set grid.cel=1", "grid.cel = 1"),
     ],
 )
