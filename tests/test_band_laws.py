@@ -155,7 +155,7 @@ FAULTS = {
         (own("my_laws.py:Hardens"), "expected of Hardens soften.*falls from 1"),
         (own("my_laws.py:Small"), "grid.cell = 2.5: expected at most 0.7071 mm.*largest_size = 1 mm"),
         (own(GF=-0.1), "LinearBand.*soften.*GF = -0.1"),
-        (own(GF="0.1"), 'materials.concrete.band.GF = "0.1": expected a finite number$'),
+        (own(GF="0.1"), 'materials.concrete.band.GF = "0.1": expected a finite number .write 0.1, without quotes.$'),
         (own(Gf=0.1), "did you mean GF"),
         (own() | {"GF": 0.0001}, "expected at most 0.5.* mm with materials.concrete"),
     ],

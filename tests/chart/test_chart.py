@@ -143,8 +143,9 @@ def test_a_scene_is_charted_by_the_command_and_drawn_on_axes_of_ones_own(tmp_pat
     assert "on the front" in out and "Within" in out and "foreseen" in err
     assert {path.name for path in (tmp_path / "chart").iterdir()} == {"chart.png", "chart.pdf", "chart.csv", "chart.json"}
     found = read_chart(tmp_path / "chart")
-    assert [record["label"] for record in found["runs"]] == ["10 mm", "5 mm", "10 mm, float32", "5 mm, float32"]
-    coarse, fine, single, _ = found["runs"]
+    labels = [record["label"] for record in found["runs"]]  # the last is left out where the third was slower than the first
+    assert labels[:3] == ["10 mm", "5 mm", "10 mm, float32"] and labels[3:] in ([], ["5 mm, float32"])
+    coarse, fine, single = found["runs"][:3]
     assert 0.001 < coarse["error"] < 0.3 and fine["error"] == 0.0
     assert abs(single["errors"]["work"] - coarse["errors"]["work"]) < 1e-4  # digits of float32
     assert coarse["compile_seconds"] > 0 and len(coarse["timings"]) == 2
