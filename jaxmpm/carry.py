@@ -16,12 +16,15 @@ from jaxmpm.transfer import apart, at_bins, slope_at, stencil, to_nodes, to_poin
 
 def weights(n, points):
     """`transfer.Weights` of the points; those of uGIMP are as wide as their volume says."""
-    own = ()
-    if n.shape == Gimp():
-        share = jnp.where(points.volume > 0, points.volume / n.cell_volume, 1.0)
-        half = 0.5 * (share, jnp.sqrt(share), jnp.cbrt(share))[n.dimension - 1]
-        own = (jnp.clip(half, 0.01, 0.5),)
+    own = (half_width(n, points),) if n.shape == Gimp() else ()
     return transfers.weights(n.shape, points.place, n.cell, *own)
+
+
+def half_width(n, points, stretch=1.0):
+    """Half the width of GIMP points over the cell size, that of their undeformed volume times a `stretch`."""
+    share = jnp.where(points.volume > 0, points.volume / n.cell_volume, 1.0)
+    half = 0.5 * (share, jnp.sqrt(share), jnp.cbrt(share))[n.dimension - 1]
+    return jnp.clip(half * stretch, 0.01, 0.5)
 
 
 def to_fields(n, points, contribution):

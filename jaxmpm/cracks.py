@@ -207,14 +207,15 @@ def open_bands(model, points, pool):
     def open_them(carry):
         _, points, pool = carry
         cells, new = most_critical(ratio, number)
-        points, pool = _open(model, joined(points), pool, cells, new)
+        points, pool = opened(model, joined(points), pool, cells, new)
         return jnp.zeros((), bool), separate(points), pool
 
     # a loop of one turn or none: a condition would copy all points in every step
     return lax.while_loop(lambda carry: carry[0], open_them, (number > 0, points, pool))[1:]
 
 
-def _open(model, points, pool, cells, new):
+def opened(model, points, pool, cells, new):
+    """Points, whole arrays, and pool with bands in those of some `cells` (k,) of the window that are `new`."""
     c, cell = model.cracking, model.numerics.cell
     mean = mean_stress(model.numerics, points)
     group = Group(model.numerics, points, mean.shape[1:], cells, new)

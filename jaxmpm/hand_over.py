@@ -5,13 +5,14 @@ velocity that the nodes say. What loads and gauges say of nodes is shared out am
 around these by their mass, and goes where the points go.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmpm import bands, cracks, moving, points as points_of, shape_functions
+from jaxmpm import bands, carry, cracks, moving, points as points_of, shape_functions
 from jaxmpm.errors import RunError
 from jaxmpm.fill import owners
 from jaxmpm.holds import Hold
@@ -271,11 +272,10 @@ def to_points(scene, layout, model, state, time, fields=1, body_of=None):
     pool = None
     if new.cracking is not None:
         pool = with_addresses(state.pool, binned)
-    settled = _settled(new, moving.first_state(binned, pool))
-    work = state.work
-    if begins:
-        work = work._replace(initial=moving.energies(new, settled.points, settled.pool)[0])
-    return new, settled._replace(work=work)
+    first = moving.first_state(binned, pool)
+    if begins:  # nothing is strained yet
+        return new, first._replace(work=state.work._replace(initial=_kinetic(new.numerics, binned)))
+    return new, _settled(new, first)._replace(work=state.work)
 
 
 def _check_inside(layout, position, time):
@@ -289,6 +289,11 @@ def _check_inside(layout, position, time):
             f"the point at ({x:.6g}, {y:.6g}) mm is outside the grid at t = {time:.6g} s, where the total frame "
             'hands over: use a larger grid, or solver.frame = "updated"'
         )
+
+
+@partial(jax.jit, static_argnums=0)
+def _kinetic(n, points):
+    return carry.kinetic_energy(n, points, carry.weights(n, points))
 
 
 @jax.jit

@@ -107,6 +107,10 @@ class MovingSimulation:
         time = self.scene.solver.duration * sample / samples
         return int(np.clip(round((time - self.begin) / self.dt), 0, self.steps))
 
+    def step_of(self, time):
+        """Number of the step at a time (s), from the begin of the run."""
+        return self.steps_before + round((time - self.begin) / self.dt)
+
     def _dt(self):
         return jnp.asarray(self.dt, self.total.free.dtype)
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from jaxmpm import restart, results, walls
 from jaxmpm.errors import OutOfTime, RunError, SceneError, written
+from jaxmpm.moving_static import MovingStatic
 from jaxmpm.moving_simulation import MOVING_FIELDS, MovingSimulation
 from jaxmpm.progress import Progress
 from jaxmpm.quasistatic import QuasiStatic
@@ -58,8 +59,8 @@ class Recorder:
     def __init__(self, scene, directory, resume, progress, suffix, seconds=None):
         self.scene, self.directory, self.suffix, self.seconds = scene, directory, suffix, seconds
         self.static = scene.solver.kind == "quasistatic"
-        self.sim = (QuasiStatic if self.static else Simulation).of(scene)
-        self.can_crack = self.sim.model.numerics.cracks
+        self.sim = self._prepared()
+        self.can_crack = any(scene.materials[name].band for name in self.sim.layout.materials)
         self.handed_over = None  # time, s
         self.messages: list[str] = []
         if not self.static and self._begins_as_points():
@@ -78,6 +79,12 @@ class Recorder:
         self.progress = Progress(progress)
         directory.mkdir(parents=True, exist_ok=True)
         self._open_files(resume)
+
+    def _prepared(self):
+        """The scene made ready to run."""
+        if not self.static:
+            return Simulation.of(self.scene)
+        return (MovingStatic if self.scene.solver.frame == "updated" else QuasiStatic).of(self.scene)
 
     def _begins_as_points(self) -> bool:
         """Bodies that meet, part or come to a wall are no matter for the total frame."""
@@ -125,7 +132,7 @@ class Recorder:
         for sample in self._numbers():
             if sample > 0:
                 sim.advance(sim.step_at(sample, samples))
-            reading = sim.read() if sample > 0 or self.moves else sim.at_rest()
+            reading = sim.read() if sample > 0 or (self.moves and not self.static) else sim.at_rest()
             self._told()
             error = self._error(reading)
             self._record(reading, error)
@@ -192,7 +199,7 @@ class Recorder:
 
     def _mention_loss(self, reading, error):
         """Say once that points that move have lost energy to the grid; see `simulation.check_energy`."""
-        if self.moves and error > ERROR_LIMIT and not any("lost" in message for message in self.messages):
+        if self.moves and not self.static and error > ERROR_LIMIT and not any("lost" in message for message in self.messages):
             self.messages.append(
                 f"t = {float(reading.time):.6g} s: {error:.1%} of the energy is lost between points and grid: "
                 "smaller cells and a smaller solver.time_step_factor lose less"
@@ -228,8 +235,7 @@ class Recorder:
     def _record(self, reading, error):
         sim = self.sim
         time = float(reading.time)
-        step = sim.steps_before + round((time - sim.begin) / sim.dt) if self.moves else sim.step_of(time)
-        row = [step, time]
+        row = [sim.step_of(time), time]
         row += [float(reading.gauges[gauge.name]) for gauge in self.sim.layout.gauges]
         row += [float(value) for value in reading.energies()]
         row += [error, int(reading.cracked)]

@@ -230,7 +230,7 @@ class Solver(Table):
     kind: Literal["explicit", "quasistatic"] = Field(
         "explicit",
         description="explicit: the motion, step by step; quasistatic: equilibrium under loads whose histories' time is "
-        "no more than a load factor (total frame only)",
+        "no more than a load factor (total frame, or updated: large slow deformation)",
     )
     control: str = Field(
         "time",
@@ -238,7 +238,9 @@ class Solver(Table):
         "energy that bands dissipate; or the name of a displacement gauge",
     )
     tolerance: Positive = Field(
-        1e-6, description="out-of-balance strain of quasistatic equilibrium, over the strain at onset, dimensionless"
+        1e-6,
+        description="out-of-balance strain of quasistatic equilibrium, over the strain at onset, dimensionless; of points that "
+        "move force, over that of the strength on the side of a cell, or over the largest on a node",
     )
     first_increment: Share = Field(0.005, description="first quasistatic increment over the duration, dimensionless")
     smallest_increment: Share = Field(1e-6, description="smallest, over the duration, dimensionless")

@@ -3,11 +3,13 @@
 from typing import Any
 
 from jaxmpm.errors import Problems, written
+from jaxmpm.scene_tables import table_of
 
 OF_MOTION = {
     "damping": "nothing moves", "viscosity": "nothing moves", "time_step_factor": "there are no time steps",
-    "hand_over_gradient": "it stays in the total frame", "hand_over_displacement": "it stays in the total frame",
+    "hand_over_gradient": "it stays in its frame", "hand_over_displacement": "it stays in its frame",
 }  # fmt: skip
+OF_VELOCITY = ("transfer", "flip", "xpic_order", "fmpm_order", "order")
 OF_EQUILIBRIUM = ("control", "tolerance", "first_increment", "smallest_increment", "largest_increment")
 
 
@@ -30,13 +32,26 @@ def check_quasistatic(tree: dict[str, Any], problems: Problems) -> None:
             default = Solver.model_fields[key].default
             usual = "" if default is None else f", or {written(default)} where the scene has it"
             problems.add(("solver", key), f"none with {static}{usual}", why)
-    if solver.get("frame") == "updated":
-        problems.add(("solver", "frame"), f'"auto" or "total" with {static}', "points do not move in it")
     if solver.get("precision") == "float32":
         problems.add(("solver", "precision"), f'"float64" with {static}', "equilibrium is solved to more digits than float32 has")
     _check_increments(solver, problems)
     _check_control(tree, solver, problems)
     _check_bodies(tree, static, problems)
+    if solver.get("frame") == "updated":
+        _check_points(tree, solver, static, problems)
+
+
+def _check_points(tree, solver, static, problems):
+    """Points carry no velocities to the grid, and their path is followed by the loads alone."""
+    from jaxmpm.scene import Points
+
+    points = table_of(tree, "points")
+    for key in OF_VELOCITY:
+        known = Points.model_fields[key].default
+        if key in points and points[key] != known:
+            problems.add(("points", key), f"none with {static}, or {written(known)} where the scene has it", "points have no velocities")
+    if solver.get("control", "time") != "time":
+        problems.add(("solver", "control"), '"time" with solver.frame = "updated"', 'or solver.frame = "total"')
 
 
 def _check_increments(solver, problems):

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmpm import grid, verify_adjoint, verify_bodies, verify_gradients, verify_moving, verify_rve, verify_scenes
+from jaxmpm import grid, verify_adjoint, verify_bodies, verify_equilibrium, verify_gradients, verify_moving, verify_rve, verify_scenes
 from jaxmpm.laws import balance
 from jaxmpm.laws import band as band_law
 from jaxmpm.laws.band import Embedding
@@ -229,6 +229,7 @@ CHECKS = {
     "cantilever": verify_scenes.cantilever,
     "brazil": verify_scenes.brazil,
     "debris": verify_scenes.debris,
+    "equilibrium": verify_equilibrium.equilibrium,
     "rve": verify_rve.rve,
     "gradients": verify_gradients.gradients,
     "adjoint": verify_adjoint.adjoint,

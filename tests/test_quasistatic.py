@@ -148,7 +148,6 @@ def test_no_equilibrium_stops_with_all_on_disk(tmp_path, monkeypatch):
     ("set_", "says"),
     [
         ("solver.damping=0.1", "solver.damping = 0.1: expected none with solver.kind"),
-        ('solver.frame="updated"', "solver.frame"),
         ('solver.precision="float32"', "solver.precision"),
         ("solver.viscosity=0.2", "solver.viscosity"),
         ("solver.time_step_factor=0.5", "there are no time steps"),
