@@ -10,6 +10,7 @@ import scipy.sparse as sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
+OPTIONS = {"SymmetricMode": True}
 LEAF = 60  # unknowns that are not dissected further
 
 
@@ -19,9 +20,8 @@ class Factors:
     def __init__(self, matrix, order):
         """`order` is that of elimination, a permutation of the unknowns."""
         self.order = order
-        options = {"SymmetricMode": True}
         permuted = matrix.tocsr()[order][:, order].tocsc()
-        self.lu = splu(permuted, permc_spec="NATURAL", diag_pivot_thresh=1e-3, options=options)
+        self.lu = splu(permuted, permc_spec="NATURAL", diag_pivot_thresh=1e-3, options=dict(OPTIONS))
 
     def solve(self, right):
         """Solution for right sides (m,) or (m, many)."""
@@ -45,6 +45,11 @@ class Factors:
         """Whether the determinant is positive."""
         negative = np.count_nonzero(self.pivots < 0)
         return bool((negative + sum(_odd(order) for order in (self.lu.perm_r, self.lu.perm_c))) % 2 == 0)
+
+
+def factorised(matrix):
+    """SuperLU's factors of a matrix whose pattern is symmetric, in an order of its own; raises RuntimeError where it is singular."""
+    return splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=1e-3, options=dict(OPTIONS))
 
 
 def dissection(shape, moves):

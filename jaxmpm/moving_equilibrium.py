@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import jax
 import numpy as np
 
-from jaxmpm.stiffness import factorised
+from jaxmpm.factors import factorised
 
 MOST = 16  # iterations
 WILD = 1e4  # times the best error, after which it is given up
