@@ -14,6 +14,7 @@ SHORTER = {
     "02_moving_points": [TO_THE_PEAK, ("cells = (8, 16, 32)", "cells = (8, 16)"), ("3.407e-4, 8.528e-5]", "3.407e-4]")],
     "04_gradients": [TO_THE_PEAK],
     "05_rve": [("range(1, 5)", "range(1, 3)")],
+    "06_static_or_dynamic": [('plate = ["grid.cell=5"]', 'plate = ["grid.cell=5", "solver.duration=2e-3"]')],
 }
 HASTY_ONES = ("02_moving_points", "05_rve")  # see conftest.py
 
