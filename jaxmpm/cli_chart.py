@@ -131,14 +131,14 @@ def run(options, folder, keep_compiled) -> int:
     source = Source(options.scene, tuple(options.overrides))
     directory = folder("--out", options.out or Path("results") / source.scene().name)
     until = _until(options.to)
-    from jaxmpm.cli import report as report_run
+    from jaxmpm.run_result import report as report_run
     from jaxmpm.tolerance import Asked, report as report_choice, run_within
 
     keep_compiled()
     asked = Asked(share, NUMBERS[options.of or "both"], options.finest, until)
     summary = run_within(source, asked, directory, options.resume, progress=not options.quiet)
     if not options.quiet:
-        print(report_run(summary, directory))
+        print(*report_run(summary, directory), sep="\n")
         print(report_choice(summary))
     return 0
 

@@ -102,7 +102,7 @@ class _Choice:
             expected = dict.fromkeys(self.names, 0.0) if chosen == last else self.estimate.of(chosen)
             self._save({})
             self._tell(chosen, expected)
-            summary = Recorder(apply(self.source, chosen), self.directory, resume, self.progress).run()
+            summary = Recorder(apply(self.source, chosen), self.directory, resume, self.progress, ".png").run()
             numbers = numbers_of(outcome_of(self.directory, summary), self.until)
             self.spent += run_seconds(summary)
             after = expected if chosen == last else self.estimate.afterwards(chosen, numbers)
