@@ -61,7 +61,7 @@ class Problem:
         """½ rᵀr and its gradient (k,): in reverse through paths of equilibria, by the Jacobian of runs in time."""
         if all(one.static for one in self.specimens):
             self.runs, self.tangents = self.runs + 1, self.tangents + 1
-            return jax.value_and_grad(lambda theta: (lambda r: r @ r / 2)(self._residual(self._static(theta))))(theta)
+            return jax.value_and_grad(lambda theta: (self._residual(self._all("value", theta)) ** 2).sum() / 2)(theta)
         value, jacobian = self.evaluate(theta)
         return value @ value / 2, value @ jacobian
 
@@ -80,20 +80,14 @@ class Problem:
         pairs = zip(self.specimens, curves, strict=True)
         return jnp.concatenate([one.residual(curve, self.work) for one, curve in pairs])
 
-    def _static(self, theta):
-        values = self.parameters.values(theta)
-        return [one.curve(values) for one in self.specimens]
-
     def _all(self, what, *args):
-        """What a program of every specimen says, compiled when first called; a path of equilibria is none."""
+        """What a program of every specimen says, compiled when first called; a path of equilibria is followed as it is."""
         for k, one in enumerate(self.specimens):
-            if one.static and what == "value":
-                self._programs[k, what] = lambda theta, one=one: one.curve(self.parameters.values(theta))
-            elif (k, what) not in self._programs:
+            if (k, what) not in self._programs:
                 value = lambda theta, one=one: one.curve(self.parameters.values(theta))  # noqa: E731
                 tangent = lambda theta, way, f=value: jax.jvp(f, (theta,), (way,))[1]
                 program = {"value": value, "tangent": tangent}[what]
-                self._programs[k, what] = one.run.compiled(program, *args)
+                self._programs[k, what] = program if one.static else one.run.compiled(program, *args)
         return [self._programs[k, what](*args) for k in range(len(self.specimens))]
 
 

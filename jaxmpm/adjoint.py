@@ -11,7 +11,7 @@ cell is about to crack: its strength ratio stays what it was, and the loads foll
 runs in time (`differentiable.py`).
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import jax
 import jax.numpy as jnp
@@ -63,6 +63,8 @@ class Tape:
     def keep(self, found, trial, cells):
         """Keep an equilibrium."""
         readings = self.gauges.read(trial.force - self.equilibria.structure.force @ found.amplitude, trial.displacement)
+        if cells:  # the rows are in the way of memory: what is needed of them is among the unknowns
+            found = replace(found, answers=found.answers._replace(rows=None))
         self.events.append(Step(found, trial.displacement, cells, readings))
 
     def cracked(self, state, mean, cells):
@@ -164,13 +166,10 @@ class WayBack:
 
     def _stiff(self, vector, tangent):
         """Kᵀ times a vector (dofs,)."""
-        structure, k = self.structure, len(tangent)
-        own = (self.rows[: MODES * k] @ vector).reshape(-1, MODES)
-        changed = np.empty_like(own)
-        softer = structure.volume * (tangent - structure.elastic[self.cells[:k]])
-        changed[:, :MEAN] = np.einsum("kij,ki->kj", softer, own[:, :MEAN])
-        changed[:, MEAN:] = (GRIP - 1) * structure.hourglass[self.cells[:k], None] * own[:, MEAN:]
-        return structure.stiffness @ vector + self.rows[: MODES * k].T @ changed.reshape(-1)
+        k = len(tangent)
+        rows = self.rows[: MODES * k]
+        stress = np.einsum("kij,ki->kj", tangent, (rows @ vector).reshape(-1, MODES)[:, :MEAN])
+        return self.structure.force_of(vector, self.cells[:k], stress, GRIP, rows)
 
     def _spread(self, by_strain):
         """Derivatives by displacement (dofs,) from those by the strains of the first cells (k, 3)."""

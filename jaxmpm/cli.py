@@ -187,6 +187,12 @@ def _json(name) -> Path | None:
     return name and _folder("--json", Path(name).parent) / Path(name).name
 
 
+def _write_json(file: Path | None, rows: list) -> None:
+    if file:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(json.dumps(rows, indent=1))
+
+
 def _picture(option: str, name) -> Path:
     """A name of a picture; raises ResultError for another kind of file."""
     path = Path(name)
@@ -260,9 +266,7 @@ def _verify(options) -> int:
     from jaxmpm import verify
 
     checks = verify.run(options.checks, angle=options.angle, cell=options.cell, show=print)
-    if file:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(json.dumps(checks, indent=1))
+    _write_json(file, checks)
     return 0 if all(check["passed"] for check in checks) else STOPPED
 
 
@@ -286,9 +290,7 @@ def _benchmark(options) -> int:
         rows = benchmark.points(show=print)
     else:
         rows = benchmark.run(options.scene, options.cells or [5.0, 2.5, 1.25], options.overrides, show=print)
-    if file:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(json.dumps(rows, indent=1))
+    _write_json(file, rows)
     return 0
 
 

@@ -97,6 +97,7 @@ def _until(value: float | None) -> float | None:
 
 # -- run --tolerance ----------------------------------------------------------------------------------
 
+SMALLEST, LARGEST = 1e-4, 0.5  # tolerances
 NUMBERS = {"both": ("peak", "work"), "peak": ("peak",), "work": ("work",)}
 
 
@@ -153,5 +154,3 @@ def share_of(option: str, text: str) -> float:
         raise ResultError(f"{option} = {text}: expected a share such as 2% or 0.02, from {SMALLEST:.2%} to {LARGEST:.0%}")
     return value
 
-
-SMALLEST, LARGEST = 1e-4, 0.5

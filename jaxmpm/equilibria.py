@@ -11,7 +11,6 @@ from functools import cached_property
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy import ndimage
 
 from jaxmpm import bands_static, compilation, grid
 from jaxmpm import model as models
@@ -19,13 +18,12 @@ from jaxmpm.bands_static import TOGETHER
 from jaxmpm.condensed import GRIP, Condensed
 from jaxmpm.full_system import Full
 from jaxmpm.increment import Counts, Move, Pending, Point, Trial
-from jaxmpm.newton import Control, Found, Newton
 from jaxmpm.laws.balance import RESTS
+from jaxmpm.newton import Control, Found, Newton
+from jaxmpm.stepping import OVERSHOOT, critical, share_to_onset
 from jaxmpm.stiffness import MEAN, MODES, Structure, loads_of
 
-OVERSHOOT = 0.02  # of the strength: by how much a cell may be beyond onset at the end of an increment
-CLOSE = 0.004  # the same where derivatives are asked for, which take it for none
-NEIGHBOURS = 5  # cells each way in which one at most cracks at a time
+CLOSE = 0.004  # `OVERSHOOT` where derivatives are asked for, which take it for none
 SIDEWAYS = (0.05, -0.05, 0.3, -0.3, 2.0, -2.0)  # steps along the softest mode, over the strain at onset
 BROKEN = 40.0  # softening p of a band that is as good as broken
 MOST_AHEAD = 2.0  # of the last increment that the next is thought to go at most
@@ -210,13 +208,7 @@ class Equilibria:
 
     def share_to_onset(self, trial):
         """Share of an increment after which the first cell is as far beyond onset as is aimed at; 1 if none is too far."""
-        before, after = self.now.ratio, np.where(self.now.ratio > 0, trial.ratio, 0.0)
-        far = after > 1 + self.overshoot
-        if not far.any():
-            return 1.0
-        aim = 1 + self.overshoot / 2
-        rise = np.maximum(after[far] - before[far], 1e-12)
-        return float(np.clip((aim - before[far]) / rise, 0.0, 1.0).min())
+        return share_to_onset(self.now.ratio, np.where(self.now.ratio > 0, trial.ratio, 0.0), self.overshoot)
 
     def reach_to_onset(self):
         """Multiples of the last increment after which, going on like that, the first cell reaches onset."""
@@ -287,12 +279,9 @@ class Equilibria:
 
     def open_critical(self) -> int:
         """Give the most critical cells beyond onset a band, one in each neighbourhood; returns how many."""
-        ratio = self.now.ratio
-        chosen = (ratio >= 1) & (ratio == ndimage.maximum_filter(ratio, NEIGHBOURS, mode="constant"))
-        cells = np.flatnonzero(chosen)
+        cells = critical(self.now.ratio, TOGETHER)
         if not len(cells):
             return 0
-        cells = cells[np.argsort(-ratio.reshape(-1)[cells], kind="stable")][:TOGETHER]
         self._make_room()
         listed = np.pad(cells, (0, TOGETHER - len(cells)), mode="edge")
         strain = self._mean(self.now.displacement)

@@ -14,10 +14,9 @@ from jaxmpm import bridge
 from jaxmpm.equilibria import Equilibria
 from jaxmpm.errors import RunError
 from jaxmpm.newton import Control
+from jaxmpm.stepping import CUT, next_size
 from jaxmpm.stiffness import amplitudes, loads_of
 
-EASY, HARD = 4, 8  # iterations after which increments grow, and after which they shrink
-GROWTH, CUT = 2.0, 0.25
 ENERGY = (0.02, 1e-5, 0.1)  # first, smallest and largest energy of an increment, over that of breaking a cell
 GAUGE = (0.1, 1e-4, 1.0)  # the same of the gauge's reading, over its last change before the first crack
 MISSING = (0.005, 0.002)  # energy that an increment may miss, over its work, and over that of breaking a cell
@@ -168,11 +167,7 @@ class Follower:
     def _accept(self, trial, kind, size):
         self.equilibria.accept(trial)
         iterations = self.equilibria.counts.iterations[-1]
-        small, large = self.limits[kind]
-        if iterations <= EASY and size >= 0.5 * self.size[kind]:
-            self.size[kind] = min(GROWTH * self.size[kind], large)
-        elif iterations > HARD:
-            self.size[kind] = max(0.5 * self.size[kind], small)
+        self.size[kind] = next_size(self.size[kind], size, iterations, *self.limits[kind])
 
     # -- by energy -----------------------------------------------------------------------------
 

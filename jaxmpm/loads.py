@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 
 @jax.tree_util.register_dataclass
@@ -33,3 +34,13 @@ class Load:
     def at(self, time):
         """Value at every driven degree of freedom, (k,)."""
         return self.weights * self.amplitude(time)
+
+
+def amplitudes_at(loads, time):
+    """Value of every history at a time (s), (loads,), as NumPy's numbers, by one small program."""
+    return np.asarray(_amplitudes(list(loads), time), float)
+
+
+@jax.jit
+def _amplitudes(loads, time):
+    return jnp.stack([load.amplitude(time) for load in loads]) if loads else jnp.zeros(0)

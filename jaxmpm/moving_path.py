@@ -9,15 +9,12 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy import ndimage
 
 from jaxmpm import compilation, cracks, moving_nodes, moving_tangent
 from jaxmpm.explicit import ROOM
+from jaxmpm.loads import amplitudes_at
 from jaxmpm.moving_equilibrium import SMALL, Found, Increment, Newton
 from jaxmpm.points import separate
-
-OVERSHOOT = 0.02  # of the strength: by how much a cell may be beyond onset at the end of an increment
-NEIGHBOURS = 5  # cells each way in which one at most cracks at a time
 
 
 def loads_of(model):
@@ -27,7 +24,7 @@ def loads_of(model):
 
 def amplitudes(model, time, duration):
     """Amplitude of every load at a time (s), (loads,); before 0 those at 0 grow from nothing."""
-    now = np.array([*(float(load.amplitude(max(time, 0.0))) for load in loads_of(model)), float(model.gravity is not None)])
+    now = np.append(amplitudes_at(loads_of(model), max(time, 0.0)), float(model.gravity is not None))
     return now * (1 + time / duration) if time < 0 else now
 
 
@@ -131,12 +128,6 @@ class Path:
         if self.model.cracking is None:
             return np.zeros((1, 1))
         return np.asarray(self.call(strength_ratio, self.model, points))
-
-    def critical(self, ratio):
-        """Flat indices of the cells beyond onset that crack first, the most critical first, one in each neighbourhood."""
-        chosen = (ratio >= 1) & (ratio == ndimage.maximum_filter(ratio, NEIGHBOURS, mode="constant"))
-        cells = np.flatnonzero(chosen)
-        return cells[np.argsort(-ratio.reshape(-1)[cells], kind="stable")][:ROOM]
 
     def opened(self, state, cells):
         """The state with bands in some cells of its window; a point may lie beyond its bin."""

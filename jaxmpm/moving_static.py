@@ -17,12 +17,11 @@ from jaxmpm import explicit, observe, observe_moving
 from jaxmpm import model as models
 from jaxmpm.errors import RunError
 from jaxmpm.layout import lay_out
-from jaxmpm.moving_path import OVERSHOOT, Path, amplitudes
+from jaxmpm.moving_path import Path, amplitudes
 from jaxmpm.moving_simulation import MovingSimulation
 from jaxmpm.simulation import Simulation, check_finite
+from jaxmpm.stepping import CUT, critical, next_size, share_to_onset
 
-EASY, HARD = 4, 8  # iterations after which increments grow, and after which they shrink
-GROWTH, CUT = 2.0, 0.25
 MISSING = (0.005, 1e-6)  # energy that an increment may miss, over its work, and over the most so far: else it was a leap
 DONE = 1e-9  # of the duration
 ENERGY_LIMIT = 0.05  # of the energy: what an error may be where the scene says nothing
@@ -125,15 +124,11 @@ class MovingStatic(MovingSimulation):
                     raise RunError(self._no_way(size))
                 self.size = size = max(CUT * size, smallest)
                 continue
-            share = self._share_to_onset(attempt)
+            share = share_to_onset(self.ratio, attempt.ratio)
             if share == 1 or last:
                 break
             size = max(share * size, smallest)
-        iterations = len(attempt.found.history)
-        if size >= 0.5 * self.size and iterations <= EASY:
-            self.size = min(GROWTH * self.size, largest)
-        elif iterations > HARD:
-            self.size = max(0.5 * self.size, smallest)
+        self.size = next_size(self.size, size, len(attempt.found.history), smallest, largest)
         self._accept(attempt, self.now + size)
         self.move = attempt.found.displacement, size
 
@@ -141,18 +136,9 @@ class MovingStatic(MovingSimulation):
         """Whether an equilibrium is no neighbour of the last: energy is missing on the way."""
         return attempt.missing(self.energy) > MISSING[0] * abs(attempt.found.work) + MISSING[1] * self.most
 
-    def _share_to_onset(self, attempt):
-        """Share of an increment after which the first cell is as far beyond onset as is aimed at; 1 if none is too far."""
-        before, after = self.ratio, attempt.ratio
-        far = after > 1 + OVERSHOOT
-        if not far.any():
-            return 1.0
-        aim, rise = 1 + OVERSHOOT / 2, np.maximum(after[far] - before[far], 1e-12)
-        return float(np.clip((aim - before[far]) / rise, 0.0, 1.0).min())
-
     def _crack(self):
         """Bands in cells beyond onset, the most critical first, each time with the equilibrium that they come to."""
-        while len(cells := self.path.critical(self.ratio)):
+        while len(cells := critical(self.ratio, explicit.ROOM)):
             if explicit.needs_room(self.state):
                 self.state = models.with_room(self.total, self.state)
             before = self.state

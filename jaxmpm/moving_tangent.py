@@ -21,13 +21,11 @@ from jax import lax
 
 from jaxmpm import bands, cracks, moving, tensor
 from jaxmpm.bands import Pool
+from jaxmpm.bands_static import LANES, PRECISION
 from jaxmpm.laws import balance
 from jaxmpm.laws.finite import inverse, plus_one, strain_in, times, turned_stress, volume_change
 from jaxmpm.laws.law import jacobian
 from jaxmpm.tensor import Matrix
-
-LANES = 64  # bands that are solved together
-PRECISION = 1e-10  # traction left over in a band, as a share of its strength
 
 
 class Answer(NamedTuple):

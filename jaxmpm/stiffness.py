@@ -8,7 +8,6 @@ x the unknowns, aᵢ the amplitude of each load and pᵢ the displacement that i
 
 from dataclasses import dataclass, replace
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.sparse as sparse
@@ -16,11 +15,15 @@ import scipy.sparse as sparse
 from jaxmpm import layout_macro
 from jaxmpm.errors import SceneError
 from jaxmpm.factors import Factors, dissection
-from jaxmpm.loads import Load
+from jaxmpm.loads import Load, amplitudes_at
 from jaxmpm.model import fields
 
 MEAN, MODES = 3, 5  # mean strain components of a cell, and those with its hourglass amplitudes
 SINGULAR = 1e-13  # least pivot over the largest of a structure that holds
+LOOSE = (
+    'solver.kind = "quasistatic": expected supports that hold every body, but one can move without strain: '
+    "add supports, or displacements with an angle as direction, until it cannot slide or turn"
+)
 
 
 def strain_operator(shape, cell):
@@ -93,9 +96,12 @@ class Structure:
         """Rows of S for the first `count` components of some cells, cell after cell, (count · k, dofs)."""
         return self.strain[(MODES * np.asarray(cells, int)[:, None] + np.arange(count)).reshape(-1)]
 
-    def force_of(self, displacement, cells, stress, keep):
-        """Nodal forces (dofs,), N, of the structure where some cells bear the mean stress (3k,), MPa, of their bands."""
-        rows = self.rows(cells)
+    def force_of(self, displacement, cells, stress, keep, rows=None):
+        """Nodal forces (dofs,), N, of the structure where some cells bear the mean stress (3k,), MPa, of their bands.
+
+        `keep`: the share of their hourglass stiffness that these have; `rows`: theirs of S, where they are at hand.
+        """
+        rows = self.rows(cells) if rows is None else rows
         own = (rows @ displacement).reshape(-1, MODES)
         lacks = np.empty_like(own)
         mean = np.einsum("kij,kj->ki", self.elastic[cells], own[:, :MEAN]) - stress.reshape(-1, MEAN)
@@ -168,12 +174,7 @@ def loads_of(model) -> tuple[Load, ...]:
 
 def amplitudes(model, time):
     """Amplitude of every load at a time (s), gravity last, (loads,)."""
-    return np.append(np.asarray(_amplitudes(loads_of(model), time), float), 1.0)
-
-
-@jax.jit
-def _amplitudes(loads, time):
-    return jnp.stack([load.amplitude(time) for load in loads]) if loads else jnp.zeros(0)
+    return np.append(amplitudes_at(loads_of(model), time), 1.0)
 
 
 def held_at(model, amplitude):
@@ -192,8 +193,5 @@ def _factorised_or_says_why(reduced, order):
     except RuntimeError:
         pivots = np.zeros(1)
     if not pivots.min() > SINGULAR * pivots.max():
-        raise SceneError(
-            'solver.kind = "quasistatic": expected supports that hold every body, but one can move without strain: '
-            "add supports, or displacements with an angle as direction, until it cannot slide or turn"
-        )
+        raise SceneError(LOOSE)
     return factors

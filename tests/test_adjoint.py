@@ -1,5 +1,7 @@
 """Derivatives of paths of equilibria in reverse: against differences of whole paths, and part by part."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -73,8 +75,28 @@ def test_plate_agrees_where_cracks_begin_at_given_loads(monkeypatch):
     monkeypatch.setattr(adjoint, "FOLLOWS", False)
     run = StaticRun.of(plate("solver.duration=0.0022", "output.samples=44", "solver.largest_increment=0.05"))
     times = run.scene.solver.duration * np.array([28, 36]) / 44
-    ours, expected = both(run, values_of(run, "concrete.E", "concrete.ft"), lambda *of: loads_at(*of, times))
+    ours, expected = both(run, values_of(run, "concrete.E", "concrete.n", "concrete.ft"), lambda *of: loads_at(*of, times))
     np.testing.assert_allclose(ours, expected, rtol=5e-3, atol=1e-4 * np.abs(expected).max())
+
+
+def test_field_of_strength_sums_up_to_the_strength():
+    """Every cell a material of its own: what each would do for the peak, in one way back."""
+    run = StaticRun.of(plate("solver.duration=0.0022", "output.samples=8"))
+    own = run.by_cells()
+
+    def peak(run):
+        def of(ft):
+            embedding = run.model.embedding
+            changed = replace(embedding, law=replace(embedding.law, ft=ft))
+            return run(replace(run.model, embedding=changed)).gauges["load"].max()
+
+        return of
+
+    whole = jax.grad(peak(run))(run.model.embedding.law.ft)
+    field = np.asarray(jax.grad(peak(own))(own.model.embedding.law.ft))
+    assert field.sum() == pytest.approx(float(whole.sum()), rel=1e-6)
+    where = np.argwhere(np.abs(field.reshape(own.model.material.shape)) > 0.02 * np.abs(field).max())
+    assert np.ptp(where[:, 1]) < 10  # rows of cells around the notches, of 20
 
 
 def test_both_systems_solve_with_the_transposed_stiffness():

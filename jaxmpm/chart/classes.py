@@ -12,6 +12,7 @@ from statistics import median
 
 from jaxmpm.chart.files import read_chart
 from jaxmpm.chart.reference import numbers_of
+from jaxmpm.chart.settings import flies, rest
 from jaxmpm.scene import Scene
 
 FILE = Path(__file__).with_name("measured.json")
@@ -25,8 +26,7 @@ WORDS = {
 
 def kind_of(scene: Scene) -> str:
     """The kind of a scene, one of WORDS."""
-    flies = any(body.velocity != (0.0, 0.0) for body in scene.bodies) or scene.gravity != (0.0, 0.0)
-    if flies or scene.solver.frame == "updated" or scene.contact.kind != "stick" or not scene.response:
+    if flies(scene) or scene.solver.frame == "updated" or scene.contact.kind != "stick" or not scene.response:
         return "moving"
     if scene.mesostructure:
         return "volume"
@@ -86,7 +86,7 @@ class Experience:
         """By how much the shift from finer cells differs where both runs are quick ones from where they are as given, at most."""
         differences = []
         for chart in self.charts:
-            slow, fast = ({run["setting"]["cell"]: run[number] for run in chart["runs"] if _rest(run) == rest} for rest in ({}, quick))
+            slow, fast = ({run["setting"]["cell"]: run[number] for run in chart["runs"] if rest(run["setting"]) == other} for other in ({}, quick))
             sizes = sorted(cell for cell in slow.keys() & fast.keys() if cell <= chart["cell"])
             differences += [abs(slow[a] / slow[b] - fast[a] / fast[b]) for b, a in zip(sizes, sizes[1:], strict=False)]
         return max(differences, default=0.0)
@@ -95,17 +95,13 @@ class Experience:
         """Runs with a choice and the same without; `same`: in the precision as well, unless that is the choice."""
         for chart in self.charts:
             for one in chart["runs"]:
-                rest, cell = _rest(one), one["setting"]["cell"]
-                if not choice.items() <= rest.items() or (cell > chart["cell"] and not coarse):
+                tried, cell = rest(one["setting"]), one["setting"]["cell"]
+                if not choice.items() <= tried.items() or (cell > chart["cell"] and not coarse):
                     continue
-                without = {name: value for name, value in rest.items() if name not in choice}
+                without = {name: value for name, value in tried.items() if name not in choice}
                 if not same:
                     without.pop("precision", None)
-                yield from ((one, other) for other in chart["runs"] if other["setting"]["cell"] == cell and _rest(other) == without)
-
-
-def _rest(run: dict) -> dict:
-    return {name: value for name, value in run["setting"].items() if name != "cell"}
+                yield from ((one, other) for other in chart["runs"] if other["setting"]["cell"] == cell and rest(other["setting"]) == without)
 
 
 def main(directories: list[str]) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from jaxmpm import plot_style
 from jaxmpm.chart.front import front, percent, seconds
 from jaxmpm.chart.outcome import WORDS
-from jaxmpm.chart.settings import MODEL
+from jaxmpm.chart.settings import MODEL, rest
 from jaxmpm.plot_style import ACCENT, FAINT, INK, styled_figure, title
 
 if TYPE_CHECKING:
@@ -33,8 +33,8 @@ LONGEST_NAME = 34  # characters of a line of the list of names
 
 def family(record: dict) -> str:
     """What kind of choice a setting is, for its colour."""
-    rest = [name for name in record["setting"] if name != "cell"]
-    return "cells alone" if not rest else BY_AXIS[rest[0]] if len(rest) == 1 else "several at once"
+    names = list(rest(record["setting"]))
+    return "cells alone" if not names else BY_AXIS[names[0]] if len(names) == 1 else "several at once"
 
 
 def measured(record: dict, measure: str) -> float | None:

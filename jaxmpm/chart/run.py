@@ -10,7 +10,7 @@ from jaxmpm.chart.costs import Costs
 from jaxmpm.chart.files import kept, provenance, write_chart
 from jaxmpm.chart.front import judged, seconds, sentence
 from jaxmpm.chart.measure import Stopwatch, with_seconds
-from jaxmpm.chart.search import FINEST, Search
+from jaxmpm.chart.search import FINEST, Search, ladder
 from jaxmpm.chart.settings import AXES, Source, cells, choices
 from jaxmpm.errors import RunError, SceneError
 from jaxmpm.run import terminate_as_interrupt
@@ -109,10 +109,8 @@ class Chart:
     def judge(self) -> None:
         """Times, reference, errors and front of what has been measured."""
         self.records = with_seconds(self.records)
-        ladder = [record for record in self.records if "seconds" in record and not set(record["setting"]) - {"cell"}]
-        ladder.sort(key=lambda record: -record["cell_size"])
-        if ladder and not self.given:
-            pairs = [(record["cell_size"], record["outcome"]) for record in ladder]
+        pairs = [(record["cell_size"], record["outcome"]) for record in ladder(self.records)]
+        if pairs and not self.given:
             self.reference = references.of_runs(pairs, self.extrapolate, self.until)
         if self.reference is not None:
             self.records = [

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from jaxmpm.chart.costs import Costs
 from jaxmpm.chart.reference import Reference
-from jaxmpm.chart.settings import MODEL, key
+from jaxmpm.chart.settings import MODEL, key, rest
 
 FINEST = 0.5  # of the budget that the finest run may take
 ONE = 0.2  # of what is left that a choice by itself may take
@@ -38,7 +38,7 @@ class Search:
     def further(self, records: list[dict], costs: Costs, left: float, reference: Reference) -> dict | None:
         """The next setting worth a run besides those of the ladder, None where nothing is."""
         known = {record["key"] for record in records}
-        longest = LONGER * max(record["seconds"] for record in self._ladder(records))
+        longest = LONGER * max(record["seconds"] for record in ladder(records))
         stages = (ONE, self._alone(records)), (HALF, self._quick(records)), (1.0, self._together(records, costs, reference))
         for share, settings in stages:
             found = []
@@ -50,22 +50,17 @@ class Search:
                 return min(found, key=lambda pair: pair[0])[1]
         return None
 
-    def _ladder(self, records: list[dict]) -> list[dict]:
-        """Records of cells alone, coarse to fine."""
-        done = [record for record in records if "seconds" in record and not set(record["setting"]) - {"cell"}]
-        return sorted(done, key=lambda record: -record["cell_size"])
-
     def _alone(self, records: list[dict]) -> Iterator[dict]:
         """Each choice by itself, on the coarsest cells that came to an end, but not much coarser ones than the scene's."""
-        ladder = self._ladder(records)
-        base = next((record for record in ladder if record["cell_size"] <= COARSE * self.cell), ladder[-1])["setting"]
+        cells = ladder(records)
+        base = next((record for record in cells if record["cell_size"] <= COARSE * self.cell), cells[-1])["setting"]
         for name, values in self.choices.items():
             yield from (base | {name: value} for value in values)
 
     def _quick(self, records: list[dict]) -> Iterator[dict]:
         """Faster loading in float32 on all cells of the ladder, which `jaxmpm run --tolerance` chooses from."""
         if "float32" in self.choices.get("precision", ()):
-            for record in self._ladder(records):
+            for record in ladder(records):
                 yield record["setting"] | {"precision": "float32"}
                 for speed in (speed for speed in self.choices.get("speed", ()) if speed > 1.0):
                     yield record["setting"] | {"speed": speed, "precision": "float32"}
@@ -73,10 +68,10 @@ class Search:
     def _together(self, records: list[dict], costs: Costs, reference: Reference) -> Iterator[dict]:
         """Other cells for what is good, and choices that were tried alone put together, unless it will be beaten."""
         done = [record for record in records if "error" in record]
-        starts = [record for record in done if record["front"]] + self._ladder(records)
+        starts = [record for record in done if record["front"]] + ladder(records)
         for record in starts:
             for size in self.sizes:
-                yield from self._unbeaten(self.of_cell(size) | _rest(record["setting"]), done, costs, reference)
+                yield from self._unbeaten(self.of_cell(size) | rest(record["setting"]), done, costs, reference)
             for name, values in self.choices.items():
                 for value in values if name not in record["setting"] and (self.given or name not in MODEL) else ():
                     yield from self._unbeaten(record["setting"] | {name: value}, done, costs, reference)
@@ -89,26 +84,28 @@ class Search:
     def foreseen(self, setting: dict, done: list[dict], reference: Reference) -> float:
         """The error that a setting is likely to have: that of its cells, and what each choice shifted where it was tried."""
         cell = setting.get("cell", self.cell)
-        ladder = self._ladder(done)
+        cells = ladder(done)
         worst = 0.0
         for name in reference.names:
-            error = _between([(record["cell_size"], record["errors"][name]) for record in ladder], cell)
-            error += sum(self._shift(choice, ladder, done, name, cell) for choice in _rest(setting).items())
+            error = _between([(record["cell_size"], record["errors"][name]) for record in cells], cell)
+            error += sum(self._shift(choice, cells, done, name, cell) for choice in rest(setting).items())
             worst = max(worst, abs(error))
         return worst
 
-    def _shift(self, choice, ladder: list[dict], done: list[dict], name: str, cell: float) -> float:
+    def _shift(self, choice, cells: list[dict], done: list[dict], name: str, cell: float) -> float:
         """By how much a choice alone shifted the error of a number, on the cells nearest to a size; 0 where it was not tried."""
-        tried = [record for record in done if dict([choice]) == _rest(record["setting"])]
+        tried = [record for record in done if dict([choice]) == rest(record["setting"])]
         if not tried:
             return 0.0
         near = min(tried, key=lambda record: abs(record["cell_size"] - cell))
-        base = _between([(record["cell_size"], record["errors"][name]) for record in ladder], near["cell_size"])
+        base = _between([(record["cell_size"], record["errors"][name]) for record in cells], near["cell_size"])
         return near["errors"][name] - base
 
 
-def _rest(setting) -> dict:
-    return {name: value for name, value in setting.items() if name != "cell"}
+def ladder(records: list[dict]) -> list[dict]:
+    """Records of cells alone that came to their end, coarse to fine."""
+    done = [record for record in records if "seconds" in record and not rest(record["setting"])]
+    return sorted(done, key=lambda record: -record["cell_size"])
 
 
 def _power_of_two(ratio: float) -> bool:

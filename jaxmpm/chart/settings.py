@@ -74,6 +74,16 @@ def label(setting: Setting, cell: float) -> str:
     return ", ".join([f"{setting.get('cell', cell):.4g} mm", *words])
 
 
+def rest(setting: Setting) -> dict[str, Any]:
+    """All of a setting but its cells."""
+    return {name: value for name, value in setting.items() if name != "cell"}
+
+
+def flies(scene: Scene) -> bool:
+    """Whether bodies move by themselves: they are thrown or have weight."""
+    return any(body.velocity != (0.0, 0.0) for body in scene.bodies) or scene.gravity != (0.0, 0.0)
+
+
 def key(setting: Setting) -> str:
     """A setting as text that tells it from others."""
     return ", ".join(f"{name}={setting[name]}" for name in ("cell", *AXES) if name in setting)
@@ -141,9 +151,8 @@ def _put_speed(tree: dict, speed: float) -> None:
 
 def _speeds(scene: Scene):
     """None where the motion itself is the matter: weight, bodies that fly or rub, equilibrium without time."""
-    flies = any(body.velocity != (0.0, 0.0) for body in scene.bodies) or scene.gravity != (0.0, 0.0)
     loads = [*scene.displacements, *scene.forces, *([scene.macro] if scene.macro else [])]
-    if flies or not loads or scene.contact.kind != "stick" or scene.solver.kind == "quasistatic":
+    if flies(scene) or not loads or scene.contact.kind != "stick" or scene.solver.kind == "quasistatic":
         return ()
     return (4.0, 2.0, 0.5)
 
