@@ -24,6 +24,7 @@ LEAP = 4  # largest increments of time that an increment of energy may take the 
 CANDIDATES = 4  # bands that are tried one by one for control
 STAY = 3  # increments at least under control of energy, once it has taken over
 BRIDGES = 400  # at most in a run
+KEPT = "time", "by_energy", "began", "span", "sense"  # of a follower, over a restart
 
 
 @dataclass
@@ -67,6 +68,7 @@ class Follower:
     began: float = 0.0  # time at which energy took control, s
     bridges: list = field(default_factory=list)  # time (s), energy (N·mm) of each
     span: float = np.inf  # time of the last increment, s
+    sense: float = 1.0  # which way the gauge goes
 
     def __post_init__(self):
         self.size = {"load": self.first}
@@ -82,6 +84,20 @@ class Follower:
     def farthest(self):
         """Time (s) that the loads have come to at the furthest."""
         return max(self.time, self.began)
+
+    def meta(self) -> dict:
+        """What a restart needs: where the path has come to, and by which control it goes on."""
+        kept = {name: getattr(self, name) for name in KEPT}
+        line = self.line and {key: v.tolist() if isinstance(v, np.ndarray) else v for key, v in vars(self.line).items()}
+        return kept | {"size": dict(self.size), "limits": {kind: list(both) for kind, both in self.limits.items()}, "line": line}
+
+    def resume(self, meta: dict) -> None:
+        """Go on from there."""
+        for name in KEPT:
+            setattr(self, name, meta[name])
+        self.size, self.limits = dict(meta["size"]), dict(meta["limits"])
+        arrays = lambda line: {key: np.array(v) if isinstance(v, list) else v for key, v in line.items()}  # noqa: E731
+        self.line = Line(**arrays(meta["line"])) if meta["line"] else None
 
     def increment(self, until):
         """One increment towards a time (s); raises RunError where there is no way on."""
@@ -194,7 +210,7 @@ class Follower:
         if self.control == "gauge" and "gauge" not in self.limits:
             unit = max(eq.last.gauge if eq.last else 0.0, 1e-12)
             self.size["gauge"], self.limits["gauge"] = GAUGE[0] * unit, (GAUGE[1] * unit, GAUGE[2] * unit)
-            self._sense = 1.0 if eq.gauge @ eq.last.displacement >= 0 else -1.0
+            self.sense = 1.0 if eq.gauge @ eq.last.displacement >= 0 else -1.0
 
     def _by_energy(self, until):
         """An increment of the gauge or of dissipated energy, of all bands or of the one that would run away; whether there is one."""
@@ -227,7 +243,7 @@ class Follower:
         most = line.factor_at(until) - line.factor
         while True:
             reached = eq.spent(only) if kind == "dissipation" else eq.reading
-            trial = self._try(line.direction, Control(kind, reached + self.sense(kind) * size, size, only))
+            trial = self._try(line.direction, Control(kind, reached + self._sense_of(kind) * size, size, only))
             if trial is not None and trial.found.factor > most:
                 trial = self._try(line.direction, Control("load", most))
             if trial is None or abs(trial.found.factor) > line.bound:
@@ -257,11 +273,9 @@ class Follower:
             self.line = None
             self.span, self.size["load"] = np.inf, self.first
 
-    _sense = 1.0  # which way the gauge goes
-
-    def sense(self, kind):
+    def _sense_of(self, kind):
         """Which way what is under control goes: energy only grows."""
-        return self._sense if kind == "gauge" else 1.0
+        return self.sense if kind == "gauge" else 1.0
 
     # -- where there is no way -----------------------------------------------------------------
 

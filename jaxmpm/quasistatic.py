@@ -143,7 +143,7 @@ class QuasiStatic(Simulation):
         """What a restart needs besides the state."""
         follower, counts = self.follower, self.follower.equilibria.counts
         return {
-            "time": follower.time, "amplitude": follower.equilibria.now.amplitude.tolist(), "size": dict(follower.size),
+            "amplitude": follower.equilibria.now.amplitude.tolist(), "follower": follower.meta(),
             "bridges": list(follower.bridges), "switches": list(follower.switches), "iterations": list(counts.iterations),
             "increments": counts.increments, "attempts": counts.attempts, "cut_backs": counts.cut_backs,
         }  # fmt: skip
@@ -152,8 +152,7 @@ class QuasiStatic(Simulation):
         """Go on from a state and its meta."""
         follower = self.follower
         follower.equilibria.restart(self.state, np.array(meta["amplitude"]))
-        follower.time = meta["time"]
-        follower.size["load"] = meta["size"]["load"]
+        follower.resume(meta["follower"])
         follower.bridges, follower.switches = ([tuple(item) for item in meta[key]] for key in ("bridges", "switches"))
         counts = follower.equilibria.counts
         counts.iterations = meta["iterations"]

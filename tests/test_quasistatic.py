@@ -124,6 +124,25 @@ def test_a_restart_goes_on_where_it_was(run, tmp_path):
     assert again["external_work"] == pytest.approx(whole["external_work"], rel=0.01)
 
 
+def test_a_restart_in_a_snap_back_goes_on_by_energy():
+    """The loads went back when it was written: they do so from there, with increments as large."""
+    scene = bar(800, "displacements.0.history.value=[0.0, 0.06, 0.2]")
+    sim, other = QuasiStatic.of(scene), QuasiStatic.of(scene)
+    sim.at_rest()
+    while not (sim.follower.line and sim.follower.line.increments > 5):
+        sim.follower.increment(scene.solver.duration)
+        sim._take_over()
+    other.state = sim.state
+    other.resume(json.loads(json.dumps(sim.meta())))
+    before = sim.follower.line.factor
+    assert other.follower.line.factor == before
+    for each in (sim, other):
+        each.follower.increment(scene.solver.duration)
+    assert other.follower.line.factor == pytest.approx(sim.follower.line.factor, rel=1e-4)
+    assert other.follower.line.factor < before - 1e-4
+    assert other.follower.size == pytest.approx(sim.follower.size) and other.follower.by_energy == sim.follower.by_energy
+
+
 def test_no_equilibrium_stops_with_all_on_disk(tmp_path, monkeypatch):
     """A bar pulled by a force that it cannot bear: no equilibrium, and no bridge leads to one."""
     from jaxmpm import bridge
