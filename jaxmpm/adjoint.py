@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmpm.bands_adjoint import Answered, Lasting, elastic_pulled_back, onset_pulled_back, pulled_back, ratio_slopes
+from jaxmpm.bands_adjoint import Answered, Lasting, elastic_pulled_back, less, onset_pulled_back, pulled_back, ratio_slopes
 from jaxmpm.bands_static import TOGETHER
 from jaxmpm.condensed import GRIP, Condensed
 from jaxmpm.errors import RunError
@@ -185,20 +185,20 @@ class WayBack:
         system.keep(k)
         if isinstance(system, Condensed) and k:
             system.renew(found.strain, found.stress, tangent, found.answers.status[:k] == RESTS)
-        there = system.adjoint(tangent, moves.T @ whole)
         controlled, by_spent, by_laws = self._controlled(step, onset)
         if controlled is None:
+            there = system.adjoint(tangent, moves.T @ whole)
             self.amplitude = self._by_amplitude(tangent, whole, by_force, moves @ there) if _stays(found) else 0 * self.amplitude
             return there, by_spent
         along = structure.prescribed @ direction
         driven = self._stiff_forward(along, tangent) - structure.force @ direction
         slope = whole @ along - by_force @ (structure.force @ direction) + self.amplitude @ direction
         self.amplitude = 0 * self.amplitude
-        back = system.adjoint(tangent, moves.T @ controlled)
+        there, back = system.adjoint(tangent, moves.T @ np.stack([whole, controlled], 1)).T
         pull = moves.T @ driven
         factor = (pull @ there - slope) / (pull @ back - controlled @ along)
         if by_laws is not None:
-            self.laws = jax.tree.map(lambda total, own: total - factor * own, self.laws, by_laws)
+            self.laws = less(self.laws, factor, by_laws)
         return there - factor * back, -factor * by_spent
 
     def _by_amplitude(self, tangent, whole, by_force, adjoint):
@@ -250,11 +250,10 @@ class WayBack:
         if before is not None and before.cells:
             had[: before.cells] = np.asarray(before.found.answers.unknowns)[: before.cells, -1]
         pool = self.pool._replace(count=jnp.int32(k))
-        laws, lasting, softening = pulled_back(
-            self.model, pool, had, fit(step.found.answers.unknowns), fit(step.found.answers.status),
+        self.laws, lasting, softening = pulled_back(
+            self.model, self.laws, pool, had, fit(step.found.answers.unknowns), fit(step.found.answers.status),
             padded(step.found.strain.reshape(-1, MEAN)), jax.tree.map(padded, by),
         )  # fmt: skip
-        self.laws = jax.tree.map(jnp.add, self.laws, laws)
         for total, part in zip(self.lasting, lasting, strict=True):
             total += np.asarray(part)[..., : total.shape[-1]]
         self.softening[:k] = np.asarray(softening)[:k]
@@ -265,8 +264,7 @@ class WayBack:
         place = int(onset.state.pool.count) + np.arange(len(onset.cells))
         taken = jax.tree.map(lambda a: np.pad(a[..., place], [(0, 0)] * (a.ndim - 1) + [(0, spare)]), self.lasting)
         cells = np.pad(onset.cells, (0, spare), mode="edge")
-        laws, mean, stress = onset_pulled_back(self.model, onset.state, onset.mean, cells, taken)
-        self.laws = jax.tree.map(jnp.add, self.laws, laws)
+        self.laws, mean, stress = onset_pulled_back(self.model, self.laws, onset.state, onset.mean, cells, taken)
         by_cell = np.zeros((len(self.grip), MODES))
         by_cell[:, :MEAN] = np.stack([np.asarray(component).reshape(-1) for component in mean], axis=1)
         self.displacement += self.structure.strain.T @ by_cell.reshape(-1)

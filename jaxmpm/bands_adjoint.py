@@ -34,10 +34,11 @@ class Answered(NamedTuple):
 
 
 @jax.jit
-def pulled_back(model, pool, before, unknowns, status, strain, by: Answered):
+def pulled_back(model, laws, pool, before, unknowns, status, strain, by: Answered):
     """How something that depends on answers of bands depends on what they followed from.
 
     Args:
+        laws: derivatives by the model's laws (`Embedding`) so far, to which theirs are added.
         pool: the bands, with what they have kept from onset on.
         before: softening p at the equilibrium before (capacity,).
         unknowns: jump, mm, and softening now (capacity, dimension + 1); status (capacity,).
@@ -51,7 +52,7 @@ def pulled_back(model, pool, before, unknowns, status, strain, by: Answered):
     material = model.material.reshape(-1)
     band = bands.bands_of(pool, n.size)
     lasting = Lasting(band.normal, band.size, band.onset_strain)
-    none = jax.tree.map(jnp.zeros_like, (model.embedding, lasting, before))
+    none = laws, *jax.tree.map(jnp.zeros_like, (lasting, before))
 
     def block(k, found):
         start = k * LANES
@@ -83,10 +84,11 @@ def _answer(band, at, cells, n, embedding, lasting, before):
 
 
 @jax.jit
-def onset_pulled_back(model, state, mean, cells, by: Lasting):
+def onset_pulled_back(model, laws, state, mean, cells, by: Lasting):
     """How what depends on bands at their onset depends on the state in which their cells cracked.
 
     Args:
+        laws: derivatives by the model's laws so far, to which theirs are added.
         state: before.
         mean: in-plane strain of all cells, xx, yy, xy, each (nx, ny).
         cells: that cracked (j,).
@@ -104,7 +106,14 @@ def onset_pulled_back(model, state, mean, cells, by: Lasting):
         return Lasting(band.normal, band.size, band.onset_strain)
 
     _, back = jax.vjp(begun, model.embedding, tuple(mean), state.pool.stress)
-    return back(by)
+    own, *rest = back(by)
+    return jax.tree.map(jnp.add, laws, own), *rest
+
+
+@jax.jit
+def less(total, share, own):
+    """total − share · own of trees alike."""
+    return jax.tree.map(lambda a, b: a - share * b, total, own)
 
 
 @jax.jit

@@ -52,6 +52,7 @@ class Condensed:
         self.weighted = structure.volume * structure.elastic[self.cells]  # w C, (k, 3, 3)
         self.active = np.zeros(0, int)  # places of cells that have borne something else than the base says
         self._rows = np.zeros((0, len(self.flexibility)))  # of F, theirs
+        self._by_unknowns = None
 
     @property
     def by_loads(self):
@@ -271,24 +272,30 @@ class Condensed:
         return mode / np.abs(mode).max(), stable
 
     def adjoint(self, tangent, right):
-        """λ with Kᵀ λ = right, both of the unknowns of the structure (m,); K its tangent stiffness.
+        """λ with Kᵀ λ = right, both of the unknowns of the structure, (m,) or (m, many); K its tangent stiffness.
 
         Tangents of the bands (k, 3, 3), MPa.
         """
-        structure, moves = self.structure, self.structure.moves
-        found = structure.factors.solve(right)
+        structure, columns = self.structure, right.reshape(len(right), -1)
+        found = structure.factors.solve(columns)
         if not len(self.cells):
-            return found
-        rows = structure.rows(self.cells)
-        seen = np.concatenate([np.zeros(1), rows @ (moves @ found)])
-        seen -= self.flexibility @ self._softened(seen[:, None])[:, 0]  # as in the base
+            return found.reshape(right.shape)
+        seen = np.concatenate([np.zeros((1, columns.shape[1])), self.by_unknowns @ found])
+        seen -= self.flexibility @ self._softened(seen)  # as in the base
         matrix, change = self._matrix(tangent.swapaxes(1, 2))
         active, _ = _solved(matrix, seen[self._mean_of(self.active)])
-        force = np.matmul(change, active.reshape(-1, MEAN, 1)).reshape(len(active))
-        seen -= force @ self._rows
-        lacks = self._softened(seen[:, None])[:, 0]
+        force = np.matmul(change, active.reshape(len(change), MEAN, -1)).reshape(active.shape)
+        seen -= self._rows.T @ force
+        lacks = self._softened(seen)
         lacks[self._mean_of(self.active)] += force
-        return found - structure.factors.solve(moves.T @ (rows.T @ lacks[1:]))
+        return (found - structure.factors.solve(self.by_unknowns.T @ lacks[1:])).reshape(right.shape)
+
+    @property
+    def by_unknowns(self):
+        """Strains and hourglass amplitudes of the cracked cells by the structure's unknowns, sparse (5k, m)."""
+        if self._by_unknowns is None:
+            self._by_unknowns = self.structure.rows(self.cells) @ self.structure.moves
+        return self._by_unknowns
 
     def displacement(self, unknowns, stress, amplitude):
         """Displacement (dofs,) of the whole structure."""

@@ -24,7 +24,7 @@ LEAP = 4  # largest increments of time that an increment of energy may take the 
 CANDIDATES = 4  # bands that are tried one by one for control
 STAY = 3  # increments at least under control of energy, once it has taken over
 BRIDGES = 400  # at most in a run
-KEPT = "time", "by_energy", "began", "span", "sense"  # of a follower, over a restart
+KEPT = "time", "by_energy", "began", "span", "sense", "begun"  # of a follower, over a restart
 
 
 @dataclass
@@ -69,6 +69,7 @@ class Follower:
     bridges: list = field(default_factory=list)  # time (s), energy (N·mm) of each
     span: float = np.inf  # time of the last increment, s
     sense: float = 1.0  # which way the gauge goes
+    begun: float = np.inf  # energy of the increment with which it took control last, N·mm
 
     def __post_init__(self):
         self.size = {"load": self.first}
@@ -206,7 +207,7 @@ class Follower:
         self.began = self.time
         self.line = Line(start, direction, times, factors, bound=bound)
         first, *limits = (share * eq.energy_of_a_cell for share in ENERGY)
-        self.size["dissipation"], self.limits["dissipation"] = first, limits
+        self.size["dissipation"], self.limits["dissipation"] = min(first, next_size(self.begun, self.begun, 0, *limits)), limits
         if self.control == "gauge" and "gauge" not in self.limits:
             unit = max(eq.last.gauge if eq.last else 0.0, 1e-12)
             self.size["gauge"], self.limits["gauge"] = GAUGE[0] * unit, (GAUGE[1] * unit, GAUGE[2] * unit)
@@ -221,15 +222,19 @@ class Follower:
         for kind, only in (*first, *(("dissipation", k) for k in self._runaways()), ("dissipation", None)):
             if self._with(kind, only, until):
                 self.line.kind, self.line.only = kind, only
+                self.begun = self.size[kind] if kind == "dissipation" else self.begun
                 return True
         return False
 
     def _runaways(self):
-        """Bands that kept changing between rest and loading as the last attempt failed: neither is an equilibrium."""
+        """Bands that kept changing between rest and loading as the last attempt failed: neither is an equilibrium.
+
+        Those first whose stress changed most with it: others only follow.
+        """
         failed = self.equilibria.failed
         if failed is None or failed.flips is None:
             return []
-        order = np.argsort(-failed.flips, kind="stable")[:CANDIDATES]
+        order = np.argsort(-failed.torn, kind="stable")[:CANDIDATES]
         return [int(k) for k in order if failed.flips[k] > 1]
 
     def _with(self, kind, only, until):

@@ -143,7 +143,7 @@ class Full:
             self.add(())
 
     def adjoint(self, tangent, right):
-        """λ with Kᵀ λ = right, both of the unknowns (m,); arguments as in `Condensed.adjoint`."""
+        """λ with Kᵀ λ = right, both of the unknowns, (m,) or (m, many); arguments as in `Condensed.adjoint`."""
         self._take(tangent)
         return self._factorise().solve_transposed(right)
 

@@ -49,7 +49,8 @@ class Found:
     error: float = np.inf  # residual and shortage, relative
     history: list = field(default_factory=list)  # error of every iteration
     converged: bool = False
-    flips: np.ndarray | None = None  # how often each band changed between rest and loading (k,)
+    flips: np.ndarray | None = None  # how often each band changed between rest and loading (k,),
+    torn: np.ndarray | None = None  # and by how much, all in all, its stress with that, MPa (k,)
     stable: bool = True  # under its loads: the structure would come back if it were disturbed
     control: Control | None = None  # what was under control
     direction: np.ndarray | None = None  # of the loads (loads,)
@@ -72,7 +73,7 @@ class Newton:
             factor = control.target
         now = self._at(unknowns, factor, start, direction, control)
         history, best, since = [now.error], now.error, 0
-        flips = np.zeros(len(self.system.cells), int)
+        flips, torn = np.zeros((2, len(self.system.cells)))
         self._make_load(now, control)
         while np.isfinite(now.error) and len(history) <= MOST:
             if now.error <= self.tolerance and len(history) > 1:
@@ -81,14 +82,16 @@ class Newton:
             change = self._change(now, direction, control)
             if not np.isfinite(change[0]).all() or not np.isfinite(change[1]):
                 break
-            before = now.answers.status
+            before = now
             now = self._along(now, change, start, direction, control)
-            flips += (before != now.answers.status)[: len(flips)]
+            flipped = (before.answers.status != now.answers.status)[: len(flips)]
+            flips += flipped
+            torn += flipped * np.abs(now.stress - before.stress).reshape(-1, 3).max(1)
             history.append(now.error)
             best, since = (now.error, 0) if now.error < 0.7 * best else (best, since + 1)
             if since >= PATIENCE or now.error > WILD * best:
                 break
-        now.history, now.flips = history, flips
+        now.history, now.flips, now.torn = history, flips, torn
         now.control, now.direction = control, direction
         if now.converged and control.kind == "load" and self.system.stable is False:
             # said of the last iteration but one: look again
