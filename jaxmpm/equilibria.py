@@ -301,8 +301,9 @@ class Equilibria:
         """Take new cells into the equations, and book what they let go of."""
         structure, now, before = self.structure, self.now, len(self.system.cells)
         if isinstance(self.system, Condensed) and self._many(before + len(cells)):
-            self.system = Full(structure, self.system.cells, self.gauge)
-        self.system.add(cells)
+            self.system = Full(structure, np.concatenate([self.system.cells, cells]), self.gauge)
+        else:
+            self.system.add(cells)
         own = (structure.rows(cells) @ now.displacement).reshape(-1, MODES)
         elastic = np.einsum("kij,kj->ki", structure.elastic[cells], own[:, :MEAN])
         now.strain = np.concatenate([now.strain, own[:, :MEAN].reshape(-1)])

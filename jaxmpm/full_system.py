@@ -1,8 +1,8 @@
 """Equilibrium of all nodes at once, by sparse matrices: for so many cracked cells that a dense system is slower.
 
 The same equations as in `condensed.py`, with the same methods; unknowns are those of the structure, residuals forces. From
-step to step little of the matrix changes: the factors of an earlier one precondition GMRES (Y. Saad, M. Schultz, SIAM J. Sci. Stat.
-Comput. 7, 1986), and are made anew where that is slow, or where it is to be known whether the structure is stable.
+step to step little of the matrix changes (`zoned_factors.py`). Where a few cells are others than the factors know, these precondition
+GMRES (Y. Saad, M. Schultz, SIAM J. Sci. Stat. Comput. 7, 1986).
 """
 
 import numpy as np
@@ -11,18 +11,19 @@ from scipy.sparse.linalg import LinearOperator, gmres
 from jaxmpm.condensed import GRIP, INVERSE
 from jaxmpm.factors import Factors
 from jaxmpm.stiffness import MEAN, Structure, block_diagonal
+from jaxmpm.zoned_factors import ZonedFactors
 
 FORCING = 1e-4  # of a right side, that the solution may miss: Newton's next step makes it good
-MOST = 12  # steps of GMRES, after which new factors are quicker
+MOST = 12  # steps of GMRES, after which a new zone is quicker
 
 
 class Full:
     """The equations of all unknowns of the structure (m,); residuals are forces, N."""
 
-    def __init__(self, structure: Structure, cells=(), gauge=None):
+    def __init__(self, structure: Structure, cells, gauge=None):
         """Cracked cells are flat indices, a gauge a vector of weights (dofs,) of the displacement."""
         self.structure, self.cells = structure, np.zeros(0, int)
-        self.factors = self.factored = self.matrix = None  # factors, of which matrix, and that of the last step
+        self.factors, self.singular = ZonedFactors(structure), False
         self.by_load = False  # whether the loads were as they were at the last step
         self.gauge = gauge if gauge is not None else np.zeros(structure.strain.shape[1])
         self.add(cells)
@@ -80,61 +81,68 @@ class Full:
     def step(self, tangent, residual, direction=None, slopes=None, short=0.0):
         """Newton's change of the unknowns (m,) and of the load factor; arguments as in `Condensed.step`."""
         structure = self.structure
-        self._take(tangent)
         self.by_load = direction is None
         try:
+            self._take(tangent)
             if direction is None:
                 return self._solved(-residual), 0.0
             prescribed = structure.prescribed @ direction
             column = structure.moves.T @ (self.elastic @ prescribed - structure.force @ direction)
             column += self.across @ (self.blocks @ (self.by_prescribed @ direction))
             row, own = slopes
-            there, along = self._solved(-residual), self._solved(-column)
+            there, along = self._solved(-np.stack([residual, column], 1)).T
             factor = (short - row @ there) / (own + row @ along)
             return there + factor * along, factor
         except RuntimeError:  # singular
             return np.full_like(residual, np.nan), np.nan
 
     def _take(self, tangent):
-        """The tangent stiffness with tangents (k, 3, 3) of the bands."""
+        """Take tangents (k, 3, 3) of the bands for those of the tangent stiffness; raises RuntimeError where it is singular."""
         self.blocks = block_diagonal(self.structure.volume * tangent)
-        self.matrix = (self.reduced + self.across @ (self.blocks @ self.by_unknowns)).tocsr()
-
-    def _factorise(self):
-        """Factors of this very matrix; raises RuntimeError where it is singular."""
-        if self.factored is not self.matrix:
-            self.factors, self.factored = Factors(self.matrix, self.structure.order), self.matrix
-        return self.factors
+        self.singular = True
+        self.factors.take(self.cells, tangent, GRIP * self.structure.hourglass[self.cells])
+        self.singular = False
 
     def _solved(self, right):
-        """Solution for a right side (m,), with the factors of an earlier matrix if they do."""
-        if self.factors is None or self.factored is self.matrix:
-            return self._factorise().solve(right)
-        inverse = LinearOperator(self.matrix.shape, self.factors.solve, dtype=float)
-        found, failed = gmres(self.matrix, right, rtol=FORCING, atol=0.0, restart=MOST, maxiter=1, M=inverse)
-        return self._factorise().solve(right) if failed else found
+        """Solution for right sides (m,) or (m, many)."""
+        if self.factors.exact:
+            return self.factors.solve(right)
+        shape = (len(right),) * 2
+        inverse = LinearOperator(shape, self.factors.solve, dtype=float)
+        stiffness = LinearOperator(shape, lambda x: self.reduced @ x + self.across @ (self.blocks @ (self.by_unknowns @ x)), dtype=float)
+        found = []
+        for column in right.reshape(len(right), -1).T:
+            one, failed = gmres(stiffness, column, rtol=FORCING, atol=0.0, restart=MOST, maxiter=1, M=inverse)
+            if failed:
+                self.factors.sharpen()
+                return self.factors.solve(right)
+            found.append(one)
+        return np.stack(found, axis=1).reshape(right.shape)
 
     @property
     def stable(self):
         """Whether the structure was at the last step, under the loads as they were; None where nothing is said of it."""
         if not self.by_load:
             return None
-        try:
-            return self._factorise().positive
-        except RuntimeError:  # singular
+        if self.singular:
             return False
+        try:
+            self.factors.sharpen()
+        except RuntimeError:
+            return False
+        return self.factors.positive
 
     def softest(self, tangent):
         """The change of the unknowns (m,) against which the structure is softest, and whether it is stable."""
-        self._take(tangent)
         mode = self.across @ np.ones(self.across.shape[1])
         try:
-            factors = self._factorise()
+            self._take(tangent)
+            self.factors.sharpen()
         except RuntimeError:  # singular
             return np.ones(len(mode)), False
         for _ in range(INVERSE):
-            mode = factors.solve(mode / np.abs(mode).max())
-        return mode / np.abs(self.by_unknowns @ mode).max(), factors.positive
+            mode = self.factors.solve(mode / np.abs(mode).max())
+        return mode / np.abs(self.by_unknowns @ mode).max(), self.factors.positive
 
     def keep(self, count):
         """Forget all but the first cells: those that cracked last are whole again."""
@@ -144,8 +152,11 @@ class Full:
 
     def adjoint(self, tangent, right):
         """λ with Kᵀ λ = right, both of the unknowns, (m,) or (m, many); arguments as in `Condensed.adjoint`."""
+        if not len(self.cells):
+            return self.structure.factors.solve(right)
         self._take(tangent)
-        return self._factorise().solve_transposed(right)
+        self.factors.sharpen()
+        return self.factors.solve_transposed(right)
 
     def displacement(self, unknowns, stress, amplitude):
         """Displacement (dofs,) of the whole structure."""

@@ -74,7 +74,7 @@ class Structure:
         elastic = np.stack([direct, cross, none, cross, direct, none, none, none, shear], axis=1).reshape(-1, 3, 3)
         volume = n.cell**2 * n.thickness
         hourglass = np.asarray(prepared.hourglass).reshape(-1) * n.thickness
-        weighted = _weighted(volume * elastic, hourglass)
+        weighted = weights_of(volume * elastic, hourglass)
         stiffness = (strain.T @ (weighted @ strain)).tocsr()
         moves, free = _unknowns(model, np.asarray(prepared.mass))
         prescribed, force = _loads(model, np.asarray(prepared.mass))
@@ -112,10 +112,10 @@ class Structure:
     def without(self, cells, keep):
         """K (dofs, dofs) without the mean stress of some cells, and of their hourglass the share `keep` left."""
         rows = self.rows(cells)
-        return self.stiffness - rows.T @ (_weighted(self.volume * self.elastic[cells], (1 - keep) * self.hourglass[cells]) @ rows)
+        return self.stiffness - rows.T @ (weights_of(self.volume * self.elastic[cells], (1 - keep) * self.hourglass[cells]) @ rows)
 
 
-def _weighted(mean, hourglass):
+def weights_of(mean, hourglass):
     """W C (5k, 5k) of k cells from their mean stiffness (k, 3, 3) and hourglass stiffness (k,)."""
     blocks = np.zeros((len(hourglass), MODES, MODES))
     blocks[:, :MEAN, :MEAN] = mean
