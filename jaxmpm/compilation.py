@@ -12,7 +12,7 @@ MOST_PROGRAMS = 16  # kept in memory; a run in the total frame has three for eac
 _programs: OrderedDict = OrderedDict()  # the one used last at the end
 
 
-def program(function, *arguments):
+def program(function, *arguments, optimised=True):
     """The jitted `function` compiled for arguments like these, pytrees: a second scene that looks alike takes the first's.
 
     Alike are arguments of the same structure, static parts included, whose arrays have the same shapes
@@ -21,7 +21,7 @@ def program(function, *arguments):
     leaves, structure = jax.tree.flatten(arguments)
     key = function, structure, tuple(jax.typeof(leaf) for leaf in leaves)
     if key not in _programs:
-        _programs[key] = compiled(function.lower(*arguments))
+        _programs[key] = compiled(function.lower(*arguments), optimised)
         while len(_programs) > MOST_PROGRAMS:
             _programs.popitem(last=False)
     _programs.move_to_end(key)
@@ -33,11 +33,15 @@ def forget_programs() -> None:
     _programs.clear()
 
 
-def compiled(lowered):
-    """Compile; on CPUs without XLA's newer code generator, which takes half as long again."""
+def compiled(lowered, optimised=True):
+    """Compile; on CPUs without XLA's newer code generator, which takes half as long again.
+
+    What is not `optimised` takes half the time to compile there: long programs of simple loops run as fast.
+    """
     if jax.default_backend() == "cpu":
+        options = {"xla_cpu_use_fusion_emitters": False} | ({} if optimised else {"xla_backend_optimization_level": 1})
         try:
-            return lowered.compile(compiler_options={"xla_cpu_use_fusion_emitters": False})
+            return lowered.compile(compiler_options=options)
         except Exception as error:  # a later XLA may no longer know the option
             if "No such compile option" not in str(error):
                 raise

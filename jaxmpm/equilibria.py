@@ -19,6 +19,7 @@ from jaxmpm.condensed import GRIP, Condensed
 from jaxmpm.full_system import Full
 from jaxmpm.increment import Counts, Move, Pending, Point, Trial
 from jaxmpm.laws.balance import RESTS
+from jaxmpm.multigrid_system import MatrixFree
 from jaxmpm.newton import Control, Found, Newton
 from jaxmpm.stepping import OVERSHOOT, critical, share_to_onset
 from jaxmpm.stiffness import MEAN, MODES, Structure, loads_of
@@ -63,11 +64,12 @@ class Equilibria:
         """Begin from a state, which is taken for an equilibrium at amplitudes (loads,)."""
         self.state = state
         cells = np.asarray(state.pool.cell)[: int(state.pool.count)]
-        self.system = Condensed(self.structure, self.gauge)
-        if self._many(len(cells)):
-            self.system = Full(self.structure, cells, self.gauge)
-        elif len(cells):
-            self.system.add(cells)
+        if self.structure.large or self._many(len(cells)):
+            self.system = (MatrixFree if self.structure.large else Full)(self.structure, cells, self.gauge)
+        else:
+            self.system = Condensed(self.structure, self.gauge)
+            if len(cells):
+                self.system.add(cells)
         displacement = np.asarray(state.displacement, float).reshape(-1)
         strain = self.structure.rows(cells, MEAN) @ displacement
         stress = np.asarray(state.pool.stress)[:, : len(cells)].T.reshape(-1)

@@ -12,7 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.sparse as sparse
 
-from jaxmpm import layout_macro
+from jaxmpm import elastic_grid, layout_macro
+from jaxmpm.elastic_grid import Answers, Multigrid
 from jaxmpm.errors import SceneError
 from jaxmpm.factors import Factors, dissection
 from jaxmpm.loads import Load, amplitudes_at
@@ -59,13 +60,13 @@ class Structure:
     prescribed: np.ndarray  # pᵢ, mm per unit of the load's history, (dofs, loads)
     force: np.ndarray  # fᵢ, N per unit, (dofs, loads)
     free: np.ndarray  # where the force is what a load says and not a reaction, (dofs,)
-    order: np.ndarray  # of elimination of the unknowns
-    factors: Factors  # of their stiffness
+    order: np.ndarray  # of elimination of the unknowns, if they are eliminated
+    factors: Factors | Answers  # of their stiffness, or what solves without
     response: np.ndarray  # uᵢ of the uncracked structure to a unit of each load, mm, (dofs, loads)
 
     @classmethod
     def of(cls, model):
-        """Assemble and factorise; raises SceneError where the supports leave a body free to move."""
+        """Assemble, and factorise what is not too large; raises SceneError where the supports leave a body free to move."""
         n, prepared = model.numerics, fields(model)
         shape = model.material.shape
         strain = strain_operator(shape, n.cell)
@@ -78,15 +79,22 @@ class Structure:
         stiffness = (strain.T @ (weighted @ strain)).tocsr()
         moves, free = _unknowns(model, np.asarray(prepared.mass))
         prescribed, force = _loads(model, np.asarray(prepared.mass))
-        reduced = (moves.T @ stiffness @ moves).tocsc()
-        order = dissection(shape, moves)
-        factors = _factorised_or_says_why(reduced, order)
+        if elastic_grid.suits(shape, moves):
+            order, factors = np.zeros(0, int), _on_grid_or_says_why(model, elastic, hourglass, moves)
+        else:
+            order = dissection(shape, moves)
+            factors = _factorised_or_says_why((moves.T @ stiffness @ moves).tocsc(), order)
         unknowns = factors.solve(moves.T @ (force - stiffness @ prescribed))
         response = moves @ unknowns + prescribed
         edge = n.cell * n.thickness
         return cls(
             strain, elastic, hourglass, volume, edge, stiffness, moves, prescribed, force, free, order, factors, response
         )
+
+    @property
+    def large(self) -> bool:
+        """Whether there are no factors, but multigrid."""
+        return isinstance(self.factors, Answers)
 
     def answer(self, force):
         """Displacement (dofs, k) of the uncracked structure under nodal forces (dofs, k), N, its loads at zero."""
@@ -195,3 +203,13 @@ def _factorised_or_says_why(reduced, order):
     if not pivots.min() > SINGULAR * pivots.max():
         raise SceneError(LOOSE)
     return factors
+
+
+def _on_grid_or_says_why(model, elastic, hourglass, moves):
+    """K by multigrid; SceneError where it is singular."""
+    n, shape = model.numerics, model.material.shape
+    free = np.asarray(moves.sum(1)).reshape(model.free.shape)
+    if not elastic_grid.is_held(np.asarray(model.material) >= 0, free):
+        raise SceneError(LOOSE)
+    tangent = np.moveaxis(elastic, 0, -1).reshape(MEAN, MEAN, *shape)
+    return Answers(Multigrid(tangent, hourglass.reshape(shape) / n.thickness, free, n.cell, n.thickness), moves)

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmpm import grid, verify_adjoint, verify_bodies, verify_equilibrium, verify_gradients, verify_moving, verify_rve, verify_scenes
+from jaxmpm import grid, verify_adjoint, verify_bodies, verify_equilibrium, verify_gradients, verify_moving, verify_multigrid, verify_rve, verify_scenes
 from jaxmpm.laws import balance
 from jaxmpm.laws import band as band_law
 from jaxmpm.laws.band import Embedding
@@ -233,4 +233,5 @@ CHECKS = {
     "rve": verify_rve.rve,
     "gradients": verify_gradients.gradients,
     "adjoint": verify_adjoint.adjoint,
+    "multigrid": verify_multigrid.multigrid,
 }

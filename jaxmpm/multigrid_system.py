@@ -1,0 +1,221 @@
+"""Equilibrium of all nodes at once without factors: for grids whose factors would take too long, or too much memory.
+
+The same equations as in `full_system.py`, with the same methods. Newton's systems are solved by GMRES with one multigrid V-cycle as
+preconditioner (`krylov.py`), only as far as it helps (S. Eisenstat, H. Walker, SIAM J. Sci. Comput. 17, 1996). The tangent stiffness
+of softening bands is not positive and need not be symmetric, which GMRES does not mind; the cycle is that of an operator near it that
+is: tangents of bands symmetric, with the absolute values of their eigenvalues. It is kept from step to step until GMRES takes
+more steps with it. What is controlled, and the load factor, are one equation and one unknown more: the bordered system is regular
+at a limit point, where the tangent stiffness is not.
+
+There is no inertia here to tell whether the structure is stable: see `stable` and `softest` for what is said instead.
+"""
+
+import numpy as np
+
+from jaxmpm.condensed import GRIP
+from jaxmpm.errors import RunError
+from jaxmpm.krylov import arnoldi, bordered, combined, gmres, no_border
+from jaxmpm.stiffness import MEAN, Structure
+
+FORCING = (1e-3, 1e-5)  # of a right side that its solution may miss, at most and at least
+SHARE = 0.5  # of the square by which the residual fell in the last step, that the next solution may miss
+MOST = 90  # steps of GMRES
+USELESS = 0.5  # of a right side left, from which on there is no step
+SLOWER = 1.5  # times the steps for a digit that a preconditioner took as it was new, before it is made anew
+FLOOR = 1e-6  # of the elastic stiffness, that the preconditioner has in a broken cell
+RITZ = 30  # steps to the softest mode
+EXHAUSTED = 1e-9  # of a start vector left: beyond that a Krylov basis loses its independence
+SEEN = 0.1  # of the share that one mode has in noise: with so much of it left, none has been missed
+PRECISION, ADJOINT = 1e-10, 1e-6  # of the way back: what is aimed at, and what is enough
+
+
+class MatrixFree:
+    """The equations of all unknowns of the structure (m,); residuals are forces, N."""
+
+    def __init__(self, structure: Structure, cells=(), gauge=None):
+        """Cracked cells are flat indices, a gauge a vector of weights (dofs,) of the displacement."""
+        self.structure, self.cells = structure, np.zeros(0, int)
+        self.asked = None  # tangents at the last step, if the loads stayed as they were
+        self.gauge = gauge if gauge is not None else np.zeros(structure.strain.shape[1])
+        self.grid = structure.factors.multigrid.grid
+        self.levels, self.fresh = None, np.inf  # of a preconditioner; steps for a digit as it was new
+        self.before = None  # size of the residual at the last step
+        self.counts = {"solves": 0, "steps": 0, "preconditioners": 0, "looks": 0}
+        self.add(cells)
+
+    def add(self, cells):
+        """Take more cells (flat indices) among the cracked ones."""
+        self.cells = np.concatenate([self.cells, np.asarray(cells, int)])
+        structure, nodes = self.structure, self.grid.nodes
+        shape = tuple(n - 1 for n in nodes)
+        self.all_rows = structure.rows(self.cells)
+        self.rows = structure.rows(self.cells, MEAN)
+        self.by_unknowns = (self.rows @ structure.moves).tocsr()
+        self.across = self.by_unknowns.T.tocsr()
+        self.by_prescribed = self.rows @ structure.prescribed
+        self.hourglass = structure.hourglass / self.grid.thickness
+        self.hourglass[self.cells] *= GRIP
+        self.hourglass = self.hourglass.reshape(shape)
+
+    def keep(self, count):
+        """Forget all but the first cells: those that cracked last are whole again."""
+        if count < len(self.cells):
+            self.cells = self.cells[:count]
+            self.add(())
+
+    # -- equations -------------------------------------------------------------------------------
+
+    def unknowns(self, displacement, amplitude):
+        """Unknowns (m,) of a displacement (dofs,)."""
+        return self.structure.moves.T @ (displacement - self.structure.prescribed @ amplitude)
+
+    def _whole(self, unknowns, amplitude):
+        return self.structure.moves @ unknowns + self.structure.prescribed @ amplitude
+
+    def displacement(self, unknowns, stress, amplitude):
+        """Displacement (dofs,) of the whole structure."""
+        return self._whole(unknowns, amplitude)
+
+    def strain(self, unknowns, amplitude):
+        """Mean strain (3k,) of the cracked cells."""
+        return self.by_unknowns @ unknowns + self.by_prescribed @ amplitude
+
+    def slopes(self, by_strain, direction):
+        """Slopes by the unknowns and along a direction of the loads, from those by strain (3k,)."""
+        return self.across @ by_strain, by_strain @ (self.by_prescribed @ direction)
+
+    def residual(self, unknowns, stress, amplitude):
+        """Force (m,) that is out of balance, N, for bands' stress (3k,), MPa."""
+        structure = self.structure
+        internal = structure.force_of(self._whole(unknowns, amplitude), self.cells, stress, GRIP, self.all_rows)
+        return structure.moves.T @ (internal - structure.force @ amplitude)
+
+    def size(self, residual, strength, stiffness):
+        """Largest residual as a share of the force that a cell bears at onset."""
+        return np.abs(residual).max(initial=0.0) / (strength * self.structure.edge)
+
+    def reading(self, unknowns, stress, amplitude):
+        """The gauge's reading, mm."""
+        return self.gauge @ self._whole(unknowns, amplitude)
+
+    def reading_slopes(self, tangent, direction):
+        """How the reading changes with the unknowns (m,) and along a direction of the loads."""
+        return self.structure.moves.T @ self.gauge, self.gauge @ (self.structure.prescribed @ direction)
+
+    # -- Newton's steps --------------------------------------------------------------------------
+
+    def step(self, tangent, residual, direction=None, slopes=None, short=0.0):
+        """Newton's change of the unknowns (m,) and of the load factor; arguments as in `Condensed.step`."""
+        border = None if direction is None else self._border(tangent, direction, slopes)
+        self.asked = tangent if direction is None else None
+        found = self._solved(tangent, -residual, border, short, self._forcing(residual))
+        if not found.residual <= USELESS:
+            return np.full_like(residual, np.nan), np.nan
+        field, factor = self.grid.field(found.x)
+        return self.structure.moves.T @ field.reshape(-1), 0.0 if direction is None else factor
+
+    def _forcing(self, residual):
+        """How much of the right side the next solution may miss: little more than Newton's method leaves anyway."""
+        size, before = np.linalg.norm(residual), self.before
+        self.before = size
+        fallen = min(size / before, 1.0) if before else 1.0
+        return float(np.clip(SHARE * fallen**2, FORCING[1], FORCING[0]))
+
+    def _border(self, tangent, direction, slopes):
+        """Column, row and own of the equation of what is controlled, both fields by nodes."""
+        structure = self.structure
+        column = self._force(tangent, structure.prescribed @ direction) - structure.force @ direction
+        return self._field(structure.moves.T @ column), self._field(slopes[0]), slopes[1]
+
+    def _field(self, unknowns):
+        return (self.structure.moves @ unknowns).reshape(2, *self.grid.nodes)
+
+    def _fields(self, tangent):
+        """dσ/dε of all cells (3, 3, nx, ny) with tangents (k, 3, 3) in the cracked ones."""
+        field = np.moveaxis(self.structure.elastic, 0, -1).copy()
+        field[:, :, self.cells] = np.moveaxis(tangent, 0, -1)
+        return field.reshape(3, 3, *self.hourglass.shape)
+
+    def _solved(self, tangent, right, border, short, tolerance):
+        """Solution of a system for a right side (m,), with the last preconditioner if it does, else with a new one."""
+        operator = self.grid.operator(self._fields(tangent), self.hourglass)
+        for new in (self.levels is None, True):
+            if new:
+                self._precondition(tangent)
+            found = self._attempt(operator, right, border, short, tolerance)
+            if found.residual <= tolerance or new:
+                break
+        pace = found.steps / -np.log10(max(min(found.residual, 0.99), 1e-16))  # steps for a digit
+        if new:
+            self.fresh = pace
+        elif pace > SLOWER * self.fresh:
+            self.levels = None
+        return found
+
+    def _precondition(self, tangent):
+        """Make the preconditioner of tangents (k, 3, 3)."""
+        self.levels = self.grid.preconditioner(self._fields(positive(tangent, self.structure.elastic[self.cells])), self.hourglass)
+        self.counts["preconditioners"] += 1
+
+    def _attempt(self, operator, right, border, short, tolerance):
+        """What GMRES makes of a system."""
+        edge, scale = no_border(self.grid.free.shape[1:]), 1.0
+        if border is not None:
+            edge, scale = bordered(self.levels, operator, *(self.grid.pad(field) for field in border[:2]), border[2])
+        found = gmres(self.levels, operator, edge, self.grid.vector(self._field(right), scale * short), tolerance, MOST)
+        self.counts["solves"] += 1
+        self.counts["steps"] += found.steps
+        return found
+
+    def adjoint(self, tangent, right):
+        """λ with Kᵀ λ = right, both of the unknowns (m,); arguments as in `Condensed.adjoint`; raises RunError without a solution."""
+        found = self._solved(tangent.swapaxes(1, 2), right, None, 0.0, PRECISION)
+        if not found.residual <= ADJOINT:
+            raise RunError(f"a system of the way back kept a residual of {found.residual:.1e}: its equilibrium is at a limit of the loads")
+        return self.structure.moves.T @ self.grid.field(found.x)[0].reshape(-1)
+
+    @property
+    def stable(self):
+        """Whether the structure seems so at the last step, under the loads as they were; None where nothing is said of it.
+
+        A look that ends as soon as noise is so well resolved that no single mode can have been missed but by bad luck.
+        """
+        enough = SEEN / np.sqrt(self.structure.moves.shape[1])
+        return None if self.asked is None else self.softest(self.asked, enough)[1]
+
+    def softest(self, tangent, enough=EXHAUSTED):
+        """The change of the unknowns (m,) against which the structure is softest, and whether it is stable.
+
+        Softness is over the stiffness of the preconditioner, whose lowest Ritz value is sought from noise, which holds all modes. With
+        symmetric tangents the structure is unstable if that is negative, and stable if it is not, unless `RITZ` steps do not get
+        near the lowest eigenvalue.
+        """
+        structure = self.structure
+        operator, plain = self.grid.operator(self._fields(tangent), self.hourglass), no_border(self.grid.free.shape[1:])
+        if self.levels is None:
+            self._precondition(tangent)
+        start = np.random.default_rng(len(self.cells)).normal(size=structure.moves.shape[1])
+        space = arnoldi(self.levels, operator, plain, self.grid.vector(self._field(start)), enough, RITZ)
+        self.counts["looks"] += len(space.ahead)
+        value, weights = lowest(space.hessenberg[:-1])
+        mode = structure.moves.T @ self.grid.field(combined(space, weights))[0].reshape(-1)
+        return mode / np.abs(self.by_unknowns @ mode).max(), bool(value > 0)
+
+    def _force(self, tangent, displacement):
+        """Nodal forces (dofs,) of the tangent stiffness."""
+        stress = np.einsum("kij,kj->ki", tangent, (self.rows @ displacement).reshape(-1, MEAN)).reshape(-1)
+        return self.structure.force_of(displacement, self.cells, stress, GRIP, self.all_rows)
+
+
+def positive(tangent, elastic):
+    """Tangents (k, 3, 3) made symmetric, with the absolute values of their eigenvalues, not quite zero."""
+    values, vectors = np.linalg.eigh((tangent + tangent.swapaxes(1, 2)) / 2)
+    least = FLOOR * np.abs(elastic).max((1, 2), initial=0.0)[:, None]
+    return np.einsum("kij,kj,klj->kil", vectors, np.maximum(np.abs(values), least), vectors)
+
+
+def lowest(hessenberg):
+    """The Ritz value of least real part, and its vector's real part, of a square Hessenberg matrix."""
+    values, vectors = np.linalg.eig(hessenberg)
+    place = values.real.argmin()
+    return values[place].real, vectors[:, place].real
