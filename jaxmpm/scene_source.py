@@ -230,7 +230,7 @@ def _work_out(values: dict[str, float], name: str, text: str, problems: Problems
         advice = 'for example "angle + 90"'
     problems.add(
         ("parameters", name),
-        "a number, or an expression of numbers, + - * / ( ) and the names of earlier parameters",
+        "a number, or an expression of numbers, + - * / ( ), max, min and the names of earlier parameters",
         advice,
     )
     values[name] = math.nan
@@ -271,7 +271,7 @@ _OPERATORS = {
 
 
 def evaluate(text: str, names: dict[str, float]) -> float:
-    """The value of an expression of numbers, + - * / ( ) and names.
+    """The value of an expression of numbers, + - * / ( ), max and min, and names.
 
     Raises NameError (with the name), ZeroDivisionError, or ValueError for anything else.
     """
@@ -293,4 +293,6 @@ def _evaluate(node: ast.expr, names: dict[str, float]) -> float:
             return _OPERATORS[type(op)](_evaluate(operand, names))
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
             return _OPERATORS[type(op)](_evaluate(left, names), _evaluate(right, names))
+        case ast.Call(func=ast.Name(id="max" | "min" as name), args=[_, _, *_] as parts, keywords=[]):
+            return {"max": max, "min": min}[name](_evaluate(part, names) for part in parts)
     raise ValueError(f"cannot evaluate {ast.dump(node)}")

@@ -76,7 +76,7 @@ def test_a_minus_before_a_parameter_gives_its_negative():
 
 
 @pytest.mark.parametrize(
-    ("text", "value"), [("2 * (a - 1) / 4 + -b", -1.0), ("+a", 5.0), ("1e-3", 1e-3), (" a ", 5.0)]
+    ("text", "value"), [("2 * (a - 1) / 4 + -b", -1.0), ("+a", 5.0), ("1e-3", 1e-3), (" a ", 5.0), ("max(b, a / 2) + min(a, b, 1)", 4.0)]
 )
 def test_expressions(text, value):
     assert evaluate(text, {"a": 5.0, "b": 3.0}) == value
@@ -84,7 +84,7 @@ def test_expressions(text, value):
 
 @pytest.mark.parametrize(
     "text",
-    ["__import__('os')", "a ** 2", "a.real", "[1]", "1 if a else 2", "a(1)", "", "1+", "True"],
+    ["__import__('os')", "a ** 2", "a.real", "[1]", "1 if a else 2", "a(1)", "max(a)", "max(a, key=a)", "abs(a)", "", "1+", "True"],
 )
 def test_expressions_hold_arithmetic_only(text):
     with pytest.raises(ValueError):

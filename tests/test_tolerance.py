@@ -5,9 +5,9 @@ import json
 import pytest
 from chart_scene import seconds_by_work, write_scene
 
-from jaxmpm import cli, tolerance
+from jaxmpm import cli, tolerance, tolerance_table
 from jaxmpm.chart.classes import Experience
-from jaxmpm.results import read_history
+from jaxmpm.results import read_history, read_summary
 from jaxmpm.run import run_scene
 from jaxmpm.scene import load_scene
 
@@ -83,6 +83,24 @@ def test_of_a_kind_that_was_not_charted_two_coarser_runs_tell(block, tmp_path, c
     assert "taken over from before" in err and "already complete" in err and again["peak_load"] == summary["peak_load"]
     assert cli.main(["run", str(path), "--out", str(tmp_path), "--tolerance", "5%", "--of", "peak", "--resume"]) == cli.BAD_INPUT
     assert "asked.tolerance was 0.1 and is 0.05" in capsys.readouterr().err
+
+
+def test_a_table_holds_tolerances_against_the_finest_cells(block, tmp_path, capsys, monkeypatch):
+    path, fine = block
+    monkeypatch.setattr(tolerance_table, "SHARES", (0.001, 0.3))
+    monkeypatch.setattr(tolerance_table, "run_seconds", seconds_by_work)
+    assert tolerance_table.main([str(path), "--out", str(tmp_path)]) == 0
+    (_, _, *lines), _ = (text.splitlines() for text in capsys.readouterr())
+    tight, loose = (line.strip("| ").split(" | ") for line in lines)
+    assert tight[:3] == ["block", "0.1 %", "2.5 mm"] and tight[3] == "0 %" and loose[1] == "30 %" and loose[2] != "2.5 mm"
+    chosen = tmp_path / "block_2.5_30"
+    (row,) = tolerance_table.rows(tmp_path / "block_2.5_finest", [chosen])
+    peak = read_summary(chosen)["peak_load"]
+    assert row["errors"]["peak"] == pytest.approx(abs(peak / fine["peak_load"] - 1), rel=1e-6) and 0 < row["errors"]["peak"] <= 0.3
+    assert float(loose[-1]) == pytest.approx(row["finest"] / row["seconds"], abs=0.05)
+    ran = [file.stat().st_mtime_ns for file in sorted(tmp_path.glob("*/summary.json"))]
+    assert tolerance_table.main([str(path), "--out", str(tmp_path)]) == 0
+    assert ran == [file.stat().st_mtime_ns for file in sorted(tmp_path.glob("*/summary.json"))]  # nothing was run twice
 
 
 def test_where_nothing_is_good_enough_the_finest_cells_are_run(block, tmp_path, capsys):

@@ -1,12 +1,11 @@
 """What charts of the bundled scenes say about scenes of their kind: what faster loading and float32 shift, and save.
 
-`measured.json` holds the numbers of their runs; it is written by `python -m jaxmpm.chart.classes DIR…` from the
-directories of charts.
+`measured.json` holds the numbers of their runs; `python -m jaxmpm.chart.classes DIR…` writes it from the directories of charts.
 """
 
+import argparse
 import json
 import math
-import sys
 from pathlib import Path
 from statistics import median
 
@@ -104,11 +103,14 @@ class Experience:
                 yield from ((one, other) for other in chart["runs"] if other["setting"]["cell"] == cell and rest(other["setting"]) == without)
 
 
-def main(directories: list[str]) -> None:
-    """Write measured.json from the directories of charts."""
-    charts = [compact(read_chart(directory)) for directory in directories]
-    rows = ",\n".join(_text(chart) for chart in charts)
-    FILE.write_text(f'{{"about": "runs of charts of bundled scenes: N, mm, MPa, s", "charts": [\n{rows}\n]}}\n')
+def main(arguments: list[str] | None = None) -> None:
+    """Write measured.json from the directories of charts; raises ResultError where one has none."""
+    parser = argparse.ArgumentParser(prog="python -m jaxmpm.chart.classes", description="Writes measured.json from the directories of charts.")
+    parser.add_argument("directories", metavar="DIR", nargs="+", help="of `jaxmpm chart`")
+    parser.add_argument("--out", type=Path, default=FILE, metavar="FILE", help="where to (default: the one that comes with the program)")
+    options = parser.parse_args(arguments)
+    rows = ",\n".join(_text(compact(read_chart(directory))) for directory in options.directories)
+    options.out.write_text(f'{{"about": "runs of charts of bundled scenes: N, mm, MPa, s", "charts": [\n{rows}\n]}}\n')
 
 
 def _text(chart: dict) -> str:
@@ -118,4 +120,4 @@ def _text(chart: dict) -> str:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()

@@ -13,7 +13,7 @@ COLUMNS = {
     "label": "setting", "status": "status", "front": "front", "seconds": "seconds [s]", "low": "low [s]", "high": "high [s]",
     "compile_seconds": "compilation [s]", "steps": "steps", "cells": "cells", "cracked": "cracked", "error": "error",
 }  # fmt: skip
-ERRORS = {"peak": "error of peak", "work": "error of work", "end": "error of end", "curve": "error of curve", "path": "path apart [mm]"}
+ERRORS = {"peak": "error of peak", "work": "error of work", "end": "error of end", "balance": "energy lost", "curve": "error of curve", "path": "path apart [mm]"}
 
 
 def read_chart(directory: str | os.PathLike) -> dict:
@@ -63,7 +63,9 @@ def provenance() -> dict:
 
     import jax
 
+    # Those that the process may use, where the system says.
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     return {
         "jaxmpm": __version__, "jax": jax.__version__, "python": platform.python_version(),
-        "device": jax.devices()[0].device_kind, "cores": os.cpu_count(), "date": datetime.date.today().isoformat(),
+        "device": jax.devices()[0].device_kind, "cores": cores, "date": datetime.date.today().isoformat(),
     }  # fmt: skip

@@ -5,7 +5,7 @@ from jaxmpm.chart.settings import MODEL
 
 LEVELS = (0.05, 0.02, 0.01)  # errors that the sentence speaks of
 BETTER = 0.97  # of the error of the member before: what is hardly better is none
-SHORT = {"peak": "peak", "work": "work", "end": "energy at the end"}
+SHORT = {"peak": "peak", "work": "work", "end": "kinetic energy kept", "balance": "energy lost"}
 
 
 def judged(records: list[dict], names: list[str], given: bool) -> list[dict]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from jaxmpm import plot_style
-from jaxmpm.chart.front import front, percent, seconds
+from jaxmpm.chart.front import SHORT, front, percent, seconds
 from jaxmpm.chart.outcome import WORDS
 from jaxmpm.chart.settings import MODEL, rest
 from jaxmpm.plot_style import ACCENT, FAINT, INK, styled_figure, title
@@ -23,7 +23,7 @@ FAMILIES = {
 }  # fmt: skip
 BY_AXIS = {
     "speed": "loading rate", "precision": "precision", "step": "time step", "solver": "equilibrium", "frame": "points that move",
-    "shape": "points that move", "per_side": "points that move", **dict.fromkeys(MODEL, "what is modelled"),
+    "shape": "points that move", "per_side": "points that move", "transfer": "points that move", **dict.fromkeys(MODEL, "what is modelled"),
 }  # fmt: skip
 LEAST = 1e-5  # relative: the reference itself, and what is as near to it, lies on the lower edge of the chart
 ROOM = 2.0  # between the lower edge and the smallest error above
@@ -47,7 +47,7 @@ def draw_chart(axes: Axes, chart: dict, measure: str = "error", numbered: bool =
     """Draw a chart on axes: a mark and its bar for each setting, the front as steps, its members numbered.
 
     `chart`: as of `read_chart`; `measure`: "error" (the largest error of peak and work), "peak", "work", "curve",
-    "path" (mm) or "end".
+    "path" (mm), or of a motion "end" and "balance".
     """
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
@@ -135,7 +135,7 @@ def plot_chart(chart: dict, path: str | os.PathLike) -> Path:
         figure.set_size_inches(9.0, 6.6)
         axes = figure.add_axes((0.075, 0.41, 0.58, 0.47))
         draw_chart(axes, chart)
-        axes.set_ylabel(f"largest error of {' and '.join(chart['reference']['numbers'])}")
+        axes.set_ylabel(f"largest error of {' and '.join(SHORT[name] for name in chart['reference']['numbers'])}")
         _list_names(figure, chart)
         width = 0.92 / len(names)
         for index, name in enumerate(names):

@@ -13,6 +13,8 @@ from jaxmpm.results import ResultError, read_history, read_summary
 
 ORDERS = (0.5, 3.0)  # of convergence that are believed
 RATIO = 1.9, 2.1  # of two cell sizes of which one is half the other
+KNOWN = {"balance": 0.0}  # numbers whose value is known beforehand
+SHARES = ("end", "balance")  # numbers that are shares themselves, so that errors are their differences
 
 
 @dataclass(frozen=True)
@@ -43,17 +45,15 @@ class Reference:
 
 
 def numbers_of(outcome: dict, until: float) -> dict[str, float]:
-    """Peak and work up to a displacement, or of a motion its kinetic energy at the end."""
+    """Peak and work up to a displacement, or of a motion the share of its kinetic energy that is left, and of all energy that is lost."""
     if outcome["motion"]:
-        return {"end": outcomes.end(outcome)}
+        return {"end": outcomes.end(outcome), "balance": outcome["balance"]}
     return {"peak": outcomes.peak(outcome), "work": outcomes.work(outcome, until)}
 
 
 def errors_of(outcome: dict, reference: Reference) -> dict[str, float | None]:
     """Errors of an outcome: of numbers with their sign and relative, of the curve relative, of the crack's path in mm."""
-    scale = dict.fromkeys(reference.names, 0.0) | {name: abs(value) for name, value in reference.numbers.items()}
-    if outcome["motion"]:
-        scale["end"] = outcomes.peak(reference.outcome)
+    scale = {name: 1.0 if name in SHARES else abs(value) for name, value in reference.numbers.items()}
     mine = numbers_of(outcome, reference.until)
     found = {name: (mine[name] - value) / scale[name] for name, value in reference.numbers.items()}
     found["curve"] = outcomes.curve_distance(outcome, reference.outcome)
@@ -81,6 +81,9 @@ def of_runs(ladder: list[tuple[float, dict]], extrapolate: bool, until: float | 
     rows = [(size, numbers_of(outcome, until)) for size, outcome in ladder]
     numbers, floor, how = {}, {}, {}
     for name, value in rows[-1][1].items():
+        if name in KNOWN:
+            numbers[name], floor[name], how[name] = KNOWN[name], 0.0, "known"
+            continue
         history = [(size, row[name]) for size, row in rows]
         numbers[name], off, how[name] = _limit(history, extrapolate)
         floor[name] = None if off is None or not value else off / abs(value)

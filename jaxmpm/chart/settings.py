@@ -19,6 +19,7 @@ HALVINGS = (4.0, 2.0, 1.0, 0.5, 0.25)  # of the scene's cell: sizes that keep it
 BETWEEN = (3.0, 1.5, 4 / 3, 0.8, 0.75, 2 / 3)  # sizes between, for bodies that they fill alike
 SAME_AREA = 1e-3  # relative difference up to which bodies are filled alike
 MODEL = ("law", "size", "window")  # they change what is modelled, not how well
+OF_POINTS = ("shape", "per_side", "transfer")  # they change nothing unless points move
 
 
 @dataclass(frozen=True)
@@ -124,7 +125,7 @@ def choices(source: Source, moved: bool) -> tuple[dict[str, list], dict[str, str
     """
     scene, found, refused = source.scene(), {}, {}
     for name, axis in AXES.items():
-        if name in ("shape", "per_side") and not moved:
+        if name in OF_POINTS and not moved:
             continue
         for value in axis.others(scene):
             try:
@@ -247,6 +248,7 @@ AXES = {
     ),
     "shape": _key("points", "shape", "shape functions", SHAPES, lambda value: f"{value} functions"),
     "per_side": _key("points", "per_side", "points in a cell", (1, 2, 3), lambda value: f"{value}×{value} points a cell"),
+    "transfer": _key("points", "transfer", "transfer", ("taylor", "flip", "apic", "xpic"), lambda value: f"transfer {value}"),
     "size": _key("bands", "effective_size", "size H", SIZES, SIZES.get, only=_cracks),
     "window": _key(
         "bands", "normal_window", "normal", (1, 3, 5), lambda value: f"normal over {value}×{value} cells", only=_cracks

@@ -65,6 +65,22 @@ def test_only_the_choices_that_are_named_are_tried(machine, tmp_path):
     assert CHOICES == tuple(AXES)
 
 
+def test_what_tolerances_build_on_is_made_of_charts_by_one_command(machine, tmp_path):
+    from jaxmpm.chart import classes
+    from jaxmpm.results import ResultError
+
+    chart(machine, tmp_path / "den", 900.0)
+    classes.main([str(tmp_path / "den"), "--out", str(tmp_path / "measured.json")])
+    known = json.loads((tmp_path / "measured.json").read_text())["charts"]
+    assert [one["scene"] for one in known] == ["den"] and known[0]["made_on"]["cores"] >= 1
+    experience = classes.Experience("specimen", known)
+    for speed in (2.0, 4.0):
+        shifts = [machine.top({"cell": cell, "speed": speed}) / machine.top({"cell": cell}) - 1 for cell in (2.5, 1.25)]
+        assert min(shifts) <= experience.shift("peak", False, speed=speed) <= max(shifts) + 1e-6
+    with pytest.raises(ResultError, match="chart.json"):
+        classes.main([str(tmp_path)])
+
+
 def test_a_run_that_fails_is_recorded_with_its_reason_and_the_chart_goes_on(machine, tmp_path):
     machine.fails = lambda setting: setting.get("speed") == 4.0
     found = chart(machine, tmp_path, 300.0)

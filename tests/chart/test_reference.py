@@ -84,11 +84,14 @@ def test_errors_have_a_sign_and_count_the_work_up_to_where_the_reference_has_fal
     assert reference.worst(errors, ["peak", "work"]) == pytest.approx(0.1)
 
 
-def test_of_bodies_that_move_the_energy_at_the_end_is_compared():
-    moving = lambda end: {"displacement": [0.0, 1.0, 2.0], "load": [8.0, 2.0, end], "motion": True, "crack": []}  # noqa: E731
-    found = reference.of_runs([(1.0, moving(7.0))], extrapolate=True)
-    errors = reference.errors_of(moving(6.0), found)
-    assert found.names == ["end"] and errors["end"] == pytest.approx(-1 / 8)
+def test_of_bodies_that_move_the_kinetic_energy_kept_is_compared_and_all_energy_with_none_lost():
+    moving = lambda end, lost: {"displacement": [0.0, 1.0, 2.0], "load": [8.0, 2.0, end], "motion": True, "balance": lost, "crack": []}  # noqa: E731
+    found = reference.of_runs([(2.0, moving(5.0, 0.1)), (1.0, moving(7.0, 0.05))], extrapolate=True)
+    assert found.names == ["end", "balance"] and found.numbers["end"] == pytest.approx(7 / 8)
+    errors = reference.errors_of(moving(6.0, -0.02), found)
+    assert errors["end"] == pytest.approx(-1 / 8) and errors["balance"] == pytest.approx(-0.02)
+    assert reference.errors_of(moving(7.0, 0.05), found)["balance"] == pytest.approx(0.05)  # known: the finest run is off as well
+    assert found.floor["balance"] == 0.0 and found.floor["end"] == pytest.approx(2 / 7)
 
 
 def test_a_band_of_tests_is_its_middle_and_half_its_width_is_left_open(tmp_path):

@@ -25,8 +25,9 @@ def test_cells_change_by_the_parameter_that_other_numbers_follow():
 
 
 def test_cells_that_would_lose_a_notch_are_refused_and_the_finest_is_kept():
-    sizes, refused = cells(Source("beam"), finest=1.25)
+    sizes, refused = cells(Source("beam", ("parameters.half=1.5",)), finest=1.25)
     assert sizes == [2.5, 1.25] and "at least a cell wide" in refused["5 mm"]
+    assert cells(Source("beam"), finest=1.25)[0] == [5.0, 2.5, 1.25]  # there the notch is a cell wide
 
 
 def test_another_law_has_the_strength_and_the_fracture_energy_of_the_first():
@@ -48,8 +49,10 @@ def test_where_the_motion_is_the_matter_it_is_not_made_faster(name):
 
 
 def test_points_in_cells_are_a_choice_only_where_points_move():
-    assert choices(Source("discs"), moved=True)[0]["per_side"] == [1, 3]
-    assert "per_side" not in choices(Source("den"), moved=False)[0]
+    of_discs, of_plate = choices(Source("discs"), moved=True)[0], choices(Source("den"), moved=False)[0]
+    assert of_discs["per_side"] == [1, 3] and of_discs["transfer"] == ["flip", "apic", "xpic"]
+    assert apply(Source("discs"), {"transfer": "apic"}).points.transfer == "apic"
+    assert not {"per_side", "shape", "transfer"} & set(of_plate)
 
 
 def test_a_setting_is_named_in_words_and_told_from_others():
