@@ -5,7 +5,7 @@ import os
 import sys
 from pathlib import Path
 
-from jaxmpm import __version__, cli_chart, cli_ensemble, cli_scenes
+from jaxmpm import __version__, cli_chart, cli_ensemble, cli_scenes, cli_size
 from jaxmpm.cli_examples import EXAMPLES
 from jaxmpm.cli_parser import Parser
 from jaxmpm.errors import ResultError, RunError, SceneError
@@ -51,6 +51,7 @@ def make_parser() -> Parser:
     _add_run(commands)
     cli_scenes.add_commands(commands, _folder, _picture)
     cli_chart.add_command(commands, lambda options: cli_chart.chart(options, _folder, _keep_compiled))
+    cli_size.add_command(commands, _folder, _keep_compiled)
     _add_pictures(commands)
     _add_calibrate(commands)
     _add_checks(commands)

@@ -92,11 +92,11 @@ def test_a_table_holds_tolerances_against_the_finest_cells(block, tmp_path, caps
     assert tolerance_table.main([str(path), "--out", str(tmp_path)]) == 0
     (_, _, *lines), _ = (text.splitlines() for text in capsys.readouterr())
     tight, loose = (line.strip("| ").split(" | ") for line in lines)
-    assert tight[:3] == ["block", "0.1 %", "2.5 mm"] and tight[3] == "0 %" and loose[1] == "30 %" and loose[2] != "2.5 mm"
+    assert tight[:3] == ["block", "0.1 %", "2.5 mm"] and tight[3] == "0.0 %" and loose[1] == "30 %" and loose[2] != "2.5 mm"
     chosen = tmp_path / "block_2.5_30"
     (row,) = tolerance_table.rows(tmp_path / "block_2.5_finest", [chosen])
     peak = read_summary(chosen)["peak_load"]
-    assert row["errors"]["peak"] == pytest.approx(abs(peak / fine["peak_load"] - 1), rel=1e-6) and 0 < row["errors"]["peak"] <= 0.3
+    assert row["errors"]["peak"] == pytest.approx(abs(peak / fine["peak_load"] - 1), rel=1e-4) and 0 < row["errors"]["peak"] <= 0.3
     assert float(loose[-1]) == pytest.approx(row["finest"] / row["seconds"], abs=0.05)
     ran = [file.stat().st_mtime_ns for file in sorted(tmp_path.glob("*/summary.json"))]
     assert tolerance_table.main([str(path), "--out", str(tmp_path)]) == 0

@@ -75,7 +75,7 @@ def test_what_tolerances_build_on_is_made_of_charts_by_one_command(machine, tmp_
     assert [one["scene"] for one in known] == ["den"] and known[0]["made_on"]["cores"] >= 1
     experience = classes.Experience("specimen", known)
     for speed in (2.0, 4.0):
-        shifts = [machine.top({"cell": cell, "speed": speed}) / machine.top({"cell": cell}) - 1 for cell in (2.5, 1.25)]
+        shifts = [machine.top({"cell": cell, "speed": speed}) / machine.top({"cell": cell}) - 1 for cell in (2.5, 0.625)]
         assert min(shifts) <= experience.shift("peak", False, speed=speed) <= max(shifts) + 1e-6
     with pytest.raises(ResultError, match="chart.json"):
         classes.main([str(tmp_path)])

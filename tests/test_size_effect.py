@@ -1,0 +1,46 @@
+"""The size effect: Bažant's law and its energy, and what bands and smeared cracks make of similar beams."""
+
+import math
+
+import numpy as np
+import pytest
+
+from jaxmpm import size_effect
+from jaxmpm.laws.damage import Damage
+from jaxmpm.laws.elastic import Elastic
+
+
+def test_a_fit_finds_bazants_law_and_the_energy_of_fracture_mechanics():
+    depths = np.array([50.0, 100.0, 200.0, 400.0])
+    found = size_effect.fit(depths, 2.6 / np.sqrt(1 + depths / 180.0))
+    assert (found.plastic, found.transition) == pytest.approx((2.6, 180.0), rel=1e-6) and found.deviation < 1e-8
+    # far above D₀ the beam breaks where K_I = σ_N sqrt(D) k reaches sqrt(E G_f)
+    depth = 1e7
+    K = found.at(depth) * math.sqrt(depth) * size_effect.intensity(size_effect.NOTCH)
+    assert K**2 / size_effect.E == pytest.approx(found.energy, rel=1e-4)
+    flat = size_effect.fit(depths, 2.0 * np.ones(4))
+    assert flat.plastic == pytest.approx(2.0, rel=1e-3) and flat.energy == math.inf
+
+
+def test_the_stress_intensity_for_a_span_of_four_is_that_of_the_standard():
+    """ASTM E399, within half a per cent."""
+    for a in (0.2, 0.35, 0.5, 0.65):
+        f = 3 * math.sqrt(a) * (1.99 - a * (1 - a) * (2.15 - 3.93 * a + 2.7 * a**2)) / (2 * (1 + 2 * a) * (1 - a) ** 1.5)
+        assert size_effect.intensity(a, 4.0) == pytest.approx(f / 1.5, rel=6e-3)
+
+
+def test_smeared_laws_dissipate_the_fracture_energy_in_the_cell_they_were_fitted_to_only():
+    energy = lambda band: float(Damage(*(band[name] for name in ("ft", "Ep", "n", "h"))).fracture_energy(Elastic(size_effect.E, size_effect.NU)))  # noqa: E731
+    assert energy(size_effect.smeared(5.0)) == pytest.approx(energy(size_effect.DAMAGE), rel=1e-6)
+    assert energy(size_effect.smeared(40.0, fitted_to=5.0)) == pytest.approx(8 * energy(size_effect.DAMAGE), rel=1e-6)
+
+
+def test_bands_follow_the_size_of_the_beam_and_smeared_cracks_of_one_law_do_not():
+    sizes = (50.0, 400.0)
+    band, _, _, fixed = size_effect.series(sizes, rows=10)
+    rows = list(size_effect.measure([band, fixed], sizes))
+    small, large, first, last = (row["strength"] for row in rows)
+    assert last == pytest.approx(first, rel=1e-3)  # similar grids and no length in the law: no size effect
+    assert 1 / math.sqrt(8) < large / small < 0.75  # between that of fracture mechanics and none
+    (finer,) = size_effect.measure([size_effect.Series("band", band.band, (14,))], (400.0,))
+    assert finer["strength"] == pytest.approx(large, rel=0.05)
