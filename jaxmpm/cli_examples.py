@@ -32,7 +32,7 @@ EXAMPLES = {
         ("jaxmpm chart den --budget 10m", "error against time for cells, rates and solvers, drawn and tabled"),
         ("jaxmpm chart den --budget 10m --resume", "go on with what has been measured"),
     ],
-    "size-effect": [("jaxmpm size-effect --out results/size_effect", "sizes 1:8, bands and smeared cracks; a table and a picture")],
+    "size-effect": [("jaxmpm size-effect --out results/size_effect", "sizes 1:16, bands and smeared cracks; a table and a picture")],
     "phases": [
         ("jaxmpm phases plate.toml", "bodies, supports and loads, before a run"),
         ("jaxmpm phases rve --set mesostructure.seed=2 --out two.pdf", "another structure"),

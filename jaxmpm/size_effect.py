@@ -1,6 +1,6 @@
 """The size effect: geometrically similar notched beams, and what a law with a width of its own has to do with it.
 
-Beams in three-point bending, half-notched, of depths D over a range of 1:8 (the proportions of Grégoire et al. 2013: span 2.5 D,
+Beams in three-point bending, half-notched, of depths D over a range of 1:16 (the proportions of Grégoire et al. 2013: span 2.5 D,
 length 3.5 D). The nominal strength σ_N = 3 P S / (2 b D²) at the peak is held against the size effect law of Bažant (1984),
 
     σ_N = B f_t / sqrt(1 + D/D₀),        G_f = (B f_t)² D₀ k(α₀)² / E,
@@ -18,7 +18,7 @@ import numpy as np
 from jaxmpm.errors import RunError
 from jaxmpm.scene import Scene
 
-SIZES = (50.0, 100.0, 200.0, 400.0)  # depths D, mm
+SIZES = (50.0, 100.0, 200.0, 400.0, 800.0)  # depths D, mm
 SPAN, LENGTH, NOTCH = 2.5, 3.5, 0.5  # over D
 WIDTH = 50.0  # b, mm
 E, NU, FT = 37000.0, 0.2, 3.9
@@ -26,7 +26,8 @@ DAMAGE = {"law": "damage", "ft": FT, "Ep": 10.625, "n": 0.12933, "h": 0.05}  # o
 INITIAL = 0.1432 / 4  # N/mm: below the first slope of its curve, 2 f_t²/G_F, which a straight curve keeps
 LINEAR = {"law": "cohesive", "curve": "linear", "ft": FT, "GF": INITIAL, "h": 0.05}
 ROWS = 14  # cells over the depth: of 4k + 2 a notch, supports and a column in the middle fit
-ALIKE = (14, 30, 58, 114)  # rows of cells that are nearly as large in every size
+ALIKE = (6, 14, 26, 50, 102)  # rows of cells that are nearly as large in every size
+OTHERS, AT = (10, 22, 30), 200.0  # rows of a beam of one depth (mm) on other cells
 WHOLE = 0.99  # of a cell that a smeared law fills
 SAMPLES, FURTHEST = 200, 0.1  # of a path, and deflection at its end over D/50, mm
 BEHIND = 0.97  # of the peak: there a path has passed it
@@ -35,14 +36,14 @@ LARGEST_D0 = 1e7  # mm: no size effect
 
 @dataclass(frozen=True)
 class Series:
-    """Beams of all sizes with one kind of law.
+    """Beams with one kind of law.
 
-    `band`: its table, of the cell's size in mm; `rows`: of cells over the depth, one for each size.
+    `band`: its table, of the cell's size in mm; `beams`: depth (mm) and rows of cells over it, of each.
     """
 
     name: str
     band: Callable[[float], dict]
-    rows: tuple[int, ...]
+    beams: list[tuple[float, int]]
 
 
 def smeared(cell: float, fitted_to: float | None = None) -> dict:
@@ -61,15 +62,24 @@ def smeared(cell: float, fitted_to: float | None = None) -> dict:
 
 
 def series(sizes=SIZES, rows: int = ROWS) -> list[Series]:
-    """What is compared: cells in proportion to the beam, but for one series on cells that are alike."""
-    same, first = (rows,) * len(sizes), sizes[0] / rows
-    found = [
-        Series("band", lambda cell: DAMAGE, same),
-        Series("band, straight curve", lambda cell: LINEAR, same),
-        Series("smeared, scaled to the cell", smeared, same),
-        Series(f"smeared, as for {first:.3g} mm", lambda cell: smeared(cell, first), same),
+    """What is compared on cells in proportion to the beam: bands, the smeared law scaled, and the smeared law as it is."""
+    beams, first = [(depth, rows) for depth in sizes], sizes[0] / rows
+    return [
+        Series("band", lambda cell: DAMAGE, beams),
+        Series("band, straight curve", lambda cell: LINEAR, beams),
+        Series("smeared, scaled to the cell", smeared, beams),
+        Series(f"smeared, as for {first:.3g} mm", lambda cell: smeared(cell, first), beams),
     ]
-    return found + ([Series("band, cells alike", lambda cell: DAMAGE, ALIKE)] if tuple(sizes) == SIZES else [])
+
+
+def on_other_cells() -> list[Series]:
+    """The first and the last of `series` on cells that are alike in all sizes, and that differ in one."""
+    first, others = SIZES[0] / ROWS, [(AT, rows) for rows in OTHERS]
+    return [
+        Series("band, cells alike", lambda cell: DAMAGE, list(zip(SIZES, ALIKE, strict=True))),
+        Series("band, other cells", lambda cell: DAMAGE, others),
+        Series(f"smeared, as for {first:.3g} mm, other cells", lambda cell: smeared(cell, first), others),
+    ]
 
 
 def beam(depth: float, rows: int, band: dict) -> Scene:
@@ -125,10 +135,10 @@ def nominal(load: float, depth: float) -> float:
     return 1.5 * load * SPAN / (WIDTH * depth)
 
 
-def measure(many: list[Series], sizes=SIZES) -> Iterator[dict]:
+def measure(many: list[Series]) -> Iterator[dict]:
     """A row for each beam: `law`, `depth` and `cell` in mm, `rows`, `strength` σ_N in MPa, `seconds`."""
     for one in many:
-        for depth, rows in zip(sizes, one.rows, strict=True):
+        for depth, rows in one.beams:
             began = time.perf_counter()
             cell = depth / rows
             strength = nominal(peak_of(beam(depth, rows, one.band(cell))), depth)
@@ -185,6 +195,10 @@ def fit(depths, strengths) -> Fit:
 
 
 def fits(rows: list[dict]) -> dict[str, Fit]:
-    """Of each series of rows."""
-    names = dict.fromkeys(row["law"] for row in rows)
-    return {name: fit(*zip(*((row["depth"], row["strength"]) for row in rows if row["law"] == name), strict=True)) for name in names}
+    """Of each series of rows that has more than one size."""
+    found = {}
+    for name in dict.fromkeys(row["law"] for row in rows):
+        points = [(row["depth"], row["strength"]) for row in rows if row["law"] == name]
+        if len({depth for depth, _ in points}) > 1:
+            found[name] = fit(*zip(*points, strict=True))
+    return found

@@ -10,6 +10,7 @@ from jaxmpm.plot_style import FAINT, INK, styled_figure
 # Okabe and Ito's colours, a marker and a line of its own for each besides.
 LOOKS = (("#0072B2", "o", "-"), ("#009E73", "D", "-"), ("#E69F00", "s", "--"), ("#D55E00", "^", ":"), ("#56B4E9", "x", ""))
 BEYOND = 1.6  # times the range of depths that is drawn
+ELSEWHERE = ", other cells"  # how a series ends whose cells differ in one size
 
 
 def plot_size_effect(rows: list[dict], fits: dict, path) -> Path:
@@ -18,8 +19,9 @@ def plot_size_effect(rows: list[dict], fits: dict, path) -> Path:
     along = np.geomspace(depths[0] / BEYOND, depths[-1] * BEYOND, 200)
     main = next(iter(fits.values()))
     with styled_figure() as figure:
-        figure.set_size_inches(6.4, 4.2)
-        axes = figure.add_subplot()
+        several = any(row["law"].endswith(ELSEWHERE) for row in rows)
+        figure.set_size_inches(7.4 if several else 5.0, 3.7)
+        axes, *more = figure.subplots(1, 2, width_ratios=[2.2, 1]) if several else [figure.add_subplot()]
         for (name, fit), (colour, marker, line) in zip(fits.items(), LOOKS, strict=False):
             points = [(row["depth"], row["strength"]) for row in rows if row["law"] == name]
             axes.plot(*zip(*points, strict=True), marker, color=colour, ms=6, mew=1.2, label=name, zorder=3)
@@ -31,6 +33,9 @@ def plot_size_effect(rows: list[dict], fits: dict, path) -> Path:
         axes.set_ylim(low, max(high, 1.12 * main.plastic))
         _ticks(axes, depths)
         axes.legend(frameon=False, fontsize=8, loc="lower left")
+        for beside in more:
+            _over_cells(beside, rows, [name for name in fits if any(row["law"] == name + ELSEWHERE for row in rows)], list(fits))
+        figure.tight_layout()
         return plot_style.save(figure, Path(path))
 
 
@@ -42,6 +47,21 @@ def _asymptotes(axes, fit, along) -> None:
     axes.annotate(
         "linear elastic\nfracture mechanics", (fit.transition, fit.plastic), (6, -2), textcoords="offset points", va="top", color=INK, fontsize=8
     )  # fmt: skip
+
+
+def _over_cells(axes, rows, names, order) -> None:
+    """Of one beam the strength over the size of its cells."""
+    elsewhere = [row for row in rows if row["law"].endswith(ELSEWHERE)]
+    depth = elsewhere[0]["depth"]
+    for name in names:
+        colour, marker, line = LOOKS[order.index(name)]
+        points = sorted((row["cell"], row["strength"]) for row in rows if row["law"] in (name, name + ELSEWHERE) and row["depth"] == depth)
+        axes.plot(*zip(*points, strict=True), marker=marker, ls=line, color=colour, ms=6, lw=1.1)
+    axes.set(xlabel="cell [mm]", title=f"D = {depth:g} mm", xlim=(0, None), ylim=(0, None))
+    axes.title.set_fontsize(9)
+    axes.grid(color="#e4e4e4", lw=0.6)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
 
 
 def _ticks(axes, depths) -> None:

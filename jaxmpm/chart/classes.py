@@ -6,12 +6,14 @@
 import argparse
 import json
 import math
+import sys
 from pathlib import Path
 from statistics import median
 
 from jaxmpm.chart.files import read_chart
 from jaxmpm.chart.reference import numbers_of
 from jaxmpm.chart.settings import flies, rest
+from jaxmpm.results import ResultError
 from jaxmpm.scene import Scene
 
 FILE = Path(__file__).with_name("measured.json")
@@ -33,7 +35,12 @@ def kind_of(scene: Scene) -> str:
 
 
 def compact(chart: dict) -> dict:
-    """Of a chart what `Experience` needs: numbers and seconds of the runs that differ in cells, loading rate and precision."""
+    """Of a chart what `Experience` needs: numbers and seconds of the runs that differ in cells, loading rate and precision.
+
+    Raises ResultError where no run came to its end.
+    """
+    if not chart["reference"]:
+        raise ResultError(f"the chart of {chart['name']}: no run came to its end; go on with jaxmpm chart --resume")
     until = chart["reference"]["until"]
     runs = [
         {"setting": record["setting"] | {"cell": record["cell_size"]}, "seconds": float(f"{record['seconds']:.3g}")}
@@ -120,4 +127,7 @@ def _text(chart: dict) -> str:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except ResultError as error:
+        sys.exit(f"error: {error}")

@@ -48,7 +48,8 @@ def chart_scene(
         chart.write()
     if chart.reference is None:
         reasons = {record["label"]: record["status"] for record in chart.records}
-        raise RunError("no setting came to its end: " + "; ".join(f"{name}: {why}" for name, why in reasons.items()))
+        said = "; ".join(f"{name}: {why}" for name, why in reasons.items()) or f"{seconds(budget)} are too short to begin with one"
+        raise RunError(f"no setting came to its end: {said}")
     from jaxmpm.chart.picture import plot_chart
 
     for suffix in ("png", "pdf"):

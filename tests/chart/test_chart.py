@@ -79,6 +79,11 @@ def test_what_tolerances_build_on_is_made_of_charts_by_one_command(machine, tmp_
         assert min(shifts) <= experience.shift("peak", False, speed=speed) <= max(shifts) + 1e-6
     with pytest.raises(ResultError, match="chart.json"):
         classes.main([str(tmp_path)])
+    machine.fails = lambda setting: True
+    with pytest.raises(RunError):
+        chart(machine, tmp_path / "none", 60.0)
+    with pytest.raises(ResultError, match="no run came to its end"):
+        classes.main([str(tmp_path / "none"), "--out", str(tmp_path / "measured.json")])
 
 
 def test_a_run_that_fails_is_recorded_with_its_reason_and_the_chart_goes_on(machine, tmp_path):
