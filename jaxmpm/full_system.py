@@ -1,20 +1,15 @@
 """Equilibrium of all nodes at once, by sparse matrices: for so many cracked cells that a dense system is slower.
 
 The same equations as in `condensed.py`, with the same methods; unknowns are those of the structure, residuals forces. From
-step to step little of the matrix changes (`zoned_factors.py`). Where a few cells are others than the factors know, these precondition
-GMRES (Y. Saad, M. Schultz, SIAM J. Sci. Stat. Comput. 7, 1986).
+step to step little of the matrix changes (`zoned_factors.py`).
 """
 
 import numpy as np
-from scipy.sparse.linalg import LinearOperator, gmres
 
 from jaxmpm.condensed import GRIP, INVERSE
 from jaxmpm.factors import Factors
 from jaxmpm.stiffness import MEAN, Structure, block_diagonal
 from jaxmpm.zoned_factors import ZonedFactors
-
-FORCING = 1e-4  # of a right side, that the solution may miss: Newton's next step makes it good
-MOST = 12  # steps of GMRES, after which a new zone is quicker
 
 
 class Full:
@@ -23,7 +18,7 @@ class Full:
     def __init__(self, structure: Structure, cells, gauge=None):
         """Cracked cells are flat indices, a gauge a vector of weights (dofs,) of the displacement."""
         self.structure, self.cells = structure, np.zeros(0, int)
-        self.factors, self.singular = ZonedFactors(structure), False
+        self.factors = ZonedFactors(structure)
         self.by_load = False  # whether the loads were as they were at the last step
         self.gauge = gauge if gauge is not None else np.zeros(structure.strain.shape[1])
         self.add(cells)
@@ -82,67 +77,46 @@ class Full:
         """Newton's change of the unknowns (m,) and of the load factor; arguments as in `Condensed.step`."""
         structure = self.structure
         self.by_load = direction is None
+        self._take(tangent)
         try:
-            self._take(tangent)
             if direction is None:
-                return self._solved(-residual), 0.0
+                return self.factors.solve(-residual), 0.0
             prescribed = structure.prescribed @ direction
             column = structure.moves.T @ (self.elastic @ prescribed - structure.force @ direction)
             column += self.across @ (self.blocks @ (self.by_prescribed @ direction))
             row, own = slopes
-            there, along = self._solved(-np.stack([residual, column], 1)).T
+            there, along = self.factors.solve(-np.stack([residual, column], 1)).T
             factor = (short - row @ there) / (own + row @ along)
             return there + factor * along, factor
         except RuntimeError:  # singular
             return np.full_like(residual, np.nan), np.nan
 
     def _take(self, tangent):
-        """Take tangents (k, 3, 3) of the bands for those of the tangent stiffness; raises RuntimeError where it is singular."""
+        """Take tangents (k, 3, 3) of the bands for those of the tangent stiffness."""
         self.blocks = block_diagonal(self.structure.volume * tangent)
-        self.singular = True
         self.factors.take(self.cells, tangent, GRIP * self.structure.hourglass[self.cells])
-        self.singular = False
-
-    def _solved(self, right):
-        """Solution for right sides (m,) or (m, many)."""
-        if self.factors.exact:
-            return self.factors.solve(right)
-        shape = (len(right),) * 2
-        inverse = LinearOperator(shape, self.factors.solve, dtype=float)
-        stiffness = LinearOperator(shape, lambda x: self.reduced @ x + self.across @ (self.blocks @ (self.by_unknowns @ x)), dtype=float)
-        found = []
-        for column in right.reshape(len(right), -1).T:
-            one, failed = gmres(stiffness, column, rtol=FORCING, atol=0.0, restart=MOST, maxiter=1, M=inverse)
-            if failed:
-                self.factors.sharpen()
-                return self.factors.solve(right)
-            found.append(one)
-        return np.stack(found, axis=1).reshape(right.shape)
 
     @property
     def stable(self):
         """Whether the structure was at the last step, under the loads as they were; None where nothing is said of it."""
         if not self.by_load:
             return None
-        if self.singular:
-            return False
         try:
-            self.factors.sharpen()
-        except RuntimeError:
+            return self.factors.positive
+        except RuntimeError:  # singular
             return False
-        return self.factors.positive
 
     def softest(self, tangent):
         """The change of the unknowns (m,) against which the structure is softest, and whether it is stable."""
+        self._take(tangent)
         mode = self.across @ np.ones(self.across.shape[1])
         try:
-            self._take(tangent)
-            self.factors.sharpen()
+            stable = self.factors.positive
         except RuntimeError:  # singular
             return np.ones(len(mode)), False
         for _ in range(INVERSE):
             mode = self.factors.solve(mode / np.abs(mode).max())
-        return mode / np.abs(self.by_unknowns @ mode).max(), self.factors.positive
+        return mode / np.abs(self.by_unknowns @ mode).max(), stable
 
     def keep(self, count):
         """Forget all but the first cells: those that cracked last are whole again."""
@@ -155,7 +129,6 @@ class Full:
         if not len(self.cells):
             return self.structure.factors.solve(right)
         self._take(tangent)
-        self.factors.sharpen()
         return self.factors.solve_transposed(right)
 
     def displacement(self, unknowns, stress, amplitude):
