@@ -63,6 +63,7 @@ EXAMPLES = {
     "verify": [
         ("jaxmpm verify", "everything, many minutes"),
         ("jaxmpm verify uniaxial tangent patch", "some"),
+        ("jaxmpm verify multigrid", "how steps of the linear solver grow with the grid, and what 640 x 640 cells take"),
         ("jaxmpm verify opening --angle 22.5 --cell 1.25", "one opening test"),
     ],
     "stability": [("jaxmpm stability --coarse --out map", "a quick map: map/stability.png")],

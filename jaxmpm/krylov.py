@@ -89,11 +89,11 @@ def ahead(levels, operator, border, x):
     return there, image(operator, border, there.astype(x.dtype))
 
 
-@partial(jax.jit, static_argnums=1)
-def _begun(start, most):
-    """A basis with room for `most` vectors more than the first, and that."""
+@jax.jit
+def _begun(start):
+    """A basis with room for `RESTART` vectors more than the first, and that."""
     unit = start / jnp.linalg.norm(start)
-    return jnp.zeros((most + 1, len(start)), start.dtype).at[0].set(unit), unit
+    return jnp.zeros((RESTART + 1, len(start)), start.dtype).at[0].set(unit), unit
 
 
 @partial(jax.jit, donate_argnums=0)
@@ -117,11 +117,11 @@ def _sum(x, factor, y):
 
 
 def arnoldi(levels, operator, border, start, tolerance, most=RESTART) -> Krylov:
-    """The Krylov space of a start vector (dofs + 1,), until it holds a solution to a tolerance."""
+    """The Krylov space of a start vector (dofs + 1,), of `RESTART` steps at most, until it holds a solution to a tolerance."""
     advance = program(ahead, levels, operator, border, start, optimised=False)
-    basis, unit = _begun(start, most)
-    found, hessenberg = [], np.zeros((most + 1, most))
-    null = np.zeros(most + 1)  # a vector that the Hessenberg matrix takes to zero from the left: it gives the residual
+    basis, unit = _begun(start)
+    found, hessenberg = [], np.zeros((RESTART + 1, RESTART))
+    null = np.zeros(RESTART + 1)  # a vector that the Hessenberg matrix takes to zero from the left: it gives the residual
     null[0] = left = 1.0
     while len(found) < most and left > tolerance:
         k = len(found)
@@ -158,16 +158,22 @@ def combined(space: Krylov, weights):
     return total
 
 
-def gmres(levels, operator, border, right, tolerance, most=RESTART) -> Solved:
+def gmres(levels, operator, border, right, tolerance, most=RESTART, start=None) -> Solved:
     """Solution of a system for a right side (dofs + 1,), to a residual of `tolerance` times the right side.
 
-    Stops after about `most` steps, or where another round does not help: its residual, worked out anew, says how good it is.
+    Begins at zero, or at `start` where that is better. Stops after about `most` steps, or where another round does not help: its
+    residual, worked out anew, says how good it is.
     """
     apply = program(image, operator, border, right)
     size, x, rest, steps, left = float(jnp.linalg.norm(right)), jnp.zeros_like(right), right, 0, 1.0
     space = Krylov([], np.zeros((1, 0)), 1.0)
     if not size > 0:
         return Solved(x, 0, 0.0, np.zeros((0, 0)))
+    if start is not None:
+        after = right - apply(operator, border, start)
+        now = float(jnp.linalg.norm(after)) / size
+        if now < 1:
+            x, rest, left = start, after, now
     while left > tolerance and steps < most:
         space = arnoldi(levels, operator, border, rest, tolerance / left, min(RESTART, most - steps))
         first = np.zeros(len(space.hessenberg))

@@ -3,9 +3,9 @@
 The same equations as in `full_system.py`, with the same methods. Newton's systems are solved by GMRES with one multigrid V-cycle as
 preconditioner (`krylov.py`), only as far as it helps (S. Eisenstat, H. Walker, SIAM J. Sci. Comput. 17, 1996). The tangent stiffness
 of softening bands is not positive and need not be symmetric, which GMRES does not mind; the cycle is that of an operator near it that
-is: tangents of bands symmetric, with the absolute values of their eigenvalues. It is kept from step to step until GMRES takes
-more steps with it. What is controlled, and the load factor, are one equation and one unknown more: the bordered system is regular
-at a limit point, where the tangent stiffness is not.
+is: tangents of bands symmetric, without negative eigenvalues. That of an earlier step is tried first: a new one costs as much as
+ten steps, but takes a third of those that an old one does once other bands load. What is controlled, and the load factor, are one
+equation and one unknown more: the bordered system is regular at a limit point, where the tangent stiffness is not.
 
 There is no inertia here to tell whether the structure is stable: see `stable` and `softest` for what is said instead.
 """
@@ -21,9 +21,8 @@ FORCING = (1e-3, 1e-5)  # of a right side that its solution may miss, at most an
 SHARE = 0.5  # of the square by which the residual fell in the last step, that the next solution may miss
 MOST = 90  # steps of GMRES
 USELESS = 0.5  # of a right side left, from which on there is no step
-SLOWER = 1.5  # times the steps for a digit that a preconditioner took as it was new, before it is made anew
+LAGGED = 10  # of these with an earlier preconditioner: they take as long as to make a new one
 FLOOR = 1e-6  # of the elastic stiffness, that the preconditioner has in a broken cell
-RITZ = 30  # steps to the softest mode
 EXHAUSTED = 1e-9  # of a start vector left: beyond that a Krylov basis loses its independence
 SEEN = 0.1  # of the share that one mode has in noise: with so much of it left, none has been missed
 PRECISION, ADJOINT = 1e-10, 1e-6  # of the way back: what is aimed at, and what is enough
@@ -38,7 +37,7 @@ class MatrixFree:
         self.asked = None  # tangents at the last step, if the loads stayed as they were
         self.gauge = gauge if gauge is not None else np.zeros(structure.strain.shape[1])
         self.grid = structure.factors.multigrid.grid
-        self.levels, self.fresh = None, np.inf  # of a preconditioner; steps for a digit as it was new
+        self.levels = None  # of a preconditioner
         self.before = None  # size of the residual at the last step
         self.counts = {"solves": 0, "steps": 0, "preconditioners": 0, "looks": 0}
         self.add(cells)
@@ -137,32 +136,27 @@ class MatrixFree:
         return field.reshape(3, 3, *self.hourglass.shape)
 
     def _solved(self, tangent, right, border, short, tolerance):
-        """Solution of a system for a right side (m,), with the last preconditioner if it does, else with a new one."""
-        operator = self.grid.operator(self._fields(tangent), self.hourglass)
-        for new in (self.levels is None, True):
-            if new:
-                self._precondition(tangent)
-            found = self._attempt(operator, right, border, short, tolerance)
-            if found.residual <= tolerance or new:
-                break
-        pace = found.steps / -np.log10(max(min(found.residual, 0.99), 1e-16))  # steps for a digit
-        if new:
-            self.fresh = pace
-        elif pace > SLOWER * self.fresh:
-            self.levels = None
-        return found
+        """Solution of a system for a right side (m,), with the last preconditioner if it soon does, else on with a new one."""
+        operator, start = self.grid.operator(self._fields(tangent), self.hourglass), None
+        if self.levels is not None:
+            found = self._attempt(operator, right, border, short, tolerance, LAGGED)
+            if found.residual <= tolerance:
+                return found
+            start = found.x
+        self._precondition(tangent)
+        return self._attempt(operator, right, border, short, tolerance, MOST, start)
 
     def _precondition(self, tangent):
         """Make the preconditioner of tangents (k, 3, 3)."""
         self.levels = self.grid.preconditioner(self._fields(positive(tangent, self.structure.elastic[self.cells])), self.hourglass)
         self.counts["preconditioners"] += 1
 
-    def _attempt(self, operator, right, border, short, tolerance):
-        """What GMRES makes of a system."""
+    def _attempt(self, operator, right, border, short, tolerance, most, start=None):
+        """What GMRES makes of a system in some steps."""
         edge, scale = no_border(self.grid.free.shape[1:]), 1.0
         if border is not None:
             edge, scale = bordered(self.levels, operator, *(self.grid.pad(field) for field in border[:2]), border[2])
-        found = gmres(self.levels, operator, edge, self.grid.vector(self._field(right), scale * short), tolerance, MOST)
+        found = gmres(self.levels, operator, edge, self.grid.vector(self._field(right), scale * short), tolerance, most, start)
         self.counts["solves"] += 1
         self.counts["steps"] += found.steps
         return found
@@ -187,15 +181,15 @@ class MatrixFree:
         """The change of the unknowns (m,) against which the structure is softest, and whether it is stable.
 
         Softness is over the stiffness of the preconditioner, whose lowest Ritz value is sought from noise, which holds all modes. With
-        symmetric tangents the structure is unstable if that is negative, and stable if it is not, unless `RITZ` steps do not get
-        near the lowest eigenvalue.
+        symmetric tangents the structure is unstable if that is negative, and stable if it is not, unless one round of `krylov` (30 steps) does
+        not get near the lowest eigenvalue.
         """
         structure = self.structure
         operator, plain = self.grid.operator(self._fields(tangent), self.hourglass), no_border(self.grid.free.shape[1:])
         if self.levels is None:
             self._precondition(tangent)
         start = np.random.default_rng(len(self.cells)).normal(size=structure.moves.shape[1])
-        space = arnoldi(self.levels, operator, plain, self.grid.vector(self._field(start)), enough, RITZ)
+        space = arnoldi(self.levels, operator, plain, self.grid.vector(self._field(start)), enough)
         self.counts["looks"] += len(space.ahead)
         value, weights = lowest(space.hessenberg[:-1])
         mode = structure.moves.T @ self.grid.field(combined(space, weights))[0].reshape(-1)
@@ -208,10 +202,10 @@ class MatrixFree:
 
 
 def positive(tangent, elastic):
-    """Tangents (k, 3, 3) made symmetric, with the absolute values of their eigenvalues, not quite zero."""
+    """Tangents (k, 3, 3) made symmetric, with hardly any stiffness where theirs is negative or none."""
     values, vectors = np.linalg.eigh((tangent + tangent.swapaxes(1, 2)) / 2)
     least = FLOOR * np.abs(elastic).max((1, 2), initial=0.0)[:, None]
-    return np.einsum("kij,kj,klj->kil", vectors, np.maximum(np.abs(values), least), vectors)
+    return np.einsum("kij,kj,klj->kil", vectors, np.maximum(values, least), vectors)
 
 
 def lowest(hessenberg):

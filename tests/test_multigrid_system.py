@@ -90,7 +90,7 @@ def test_softest_mode_and_stability(both):
 
 
 def test_whole_curve_is_that_of_the_dense_system(monkeypatch):
-    """The plate from rest to its tail, with the forcing that runs have; the same increments."""
+    """The plate from rest to well behind its peak, with the forcing that runs have; the same increments."""
     curves = []
     for large in (10**9, 0):
         monkeypatch.setattr(elastic_grid, "LARGE", large)
@@ -98,7 +98,7 @@ def test_whole_curve_is_that_of_the_dense_system(monkeypatch):
         follower, loads = Follower(eq, 5e-3, "time", 5e-5, 1e-8, 1e-4), []
         top = np.asarray(eq.model.displacements[0].dofs)
         follower.begin()
-        for time in np.linspace(0.0, 5e-3, 21)[1:]:
+        for time in np.linspace(0.0, 2.5e-3, 11)[1:]:
             while follower.time < (1 - 1e-9) * time:
                 follower.increment(time)
             loads.append(eq.now.force[top].sum())
@@ -122,11 +122,13 @@ def test_a_body_that_can_slide_is_refused(for_all):
 
 
 def test_tangents_made_positive_are_near():
+    """Of all positive ones the nearest to their symmetric part, and that itself where it is positive."""
     rng = np.random.default_rng(0)
     tangent = softening(rng)
     elastic = np.tile(np.eye(3) * 3e4, (3, 1, 1))
-    values = np.linalg.eigvalsh(positive(tangent, elastic))
-    wanted = np.sort(np.abs(np.linalg.eigvalsh((tangent + tangent.swapaxes(1, 2)) / 2)), axis=1)
-    np.testing.assert_allclose(values, wanted, rtol=1e-9)
-    assert np.linalg.eigvalsh(positive(0 * tangent, elastic)).min() > 0
+    found, symmetric = positive(tangent, elastic), (tangent + tangent.swapaxes(1, 2)) / 2
+    own = np.linalg.eigvalsh(symmetric)
+    np.testing.assert_allclose(np.linalg.eigvalsh(found), np.maximum(own, 0.03), rtol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(found - symmetric, axis=(1, 2)), np.linalg.norm(np.minimum(own, 0.0), axis=1), rtol=1e-4)
+    np.testing.assert_allclose(positive(elastic, elastic), elastic)
     assert lowest(np.diag([3.0, -1.0, 2.0]))[0] == -1.0
