@@ -64,8 +64,8 @@ class Equilibria:
         """Begin from a state, which is taken for an equilibrium at amplitudes (loads,)."""
         self.state = state
         cells = np.asarray(state.pool.cell)[: int(state.pool.count)]
-        if self.structure.large or self._many(len(cells)):
-            self.system = (MatrixFree if self.structure.large else Full)(self.structure, cells, self.gauge)
+        if self._many(len(cells)):
+            self.system = self._of_all_nodes(cells)
         else:
             self.system = Condensed(self.structure, self.gauge)
             if len(cells):
@@ -92,7 +92,10 @@ class Equilibria:
         return self._compiled[key](self.model, *args)
 
     def _many(self, cells):
-        return cells > DENSE
+        return cells > DENSE or self.structure.large
+
+    def _of_all_nodes(self, cells):
+        return (Full if self.structure.grid is None else MatrixFree)(self.structure, cells, self.gauge)
 
     # -- attempts --------------------------------------------------------------------------------
 
@@ -303,7 +306,7 @@ class Equilibria:
         """Take new cells into the equations, and book what they let go of."""
         structure, now, before = self.structure, self.now, len(self.system.cells)
         if isinstance(self.system, Condensed) and self._many(before + len(cells)):
-            self.system = Full(structure, np.concatenate([self.system.cells, cells]), self.gauge)
+            self.system = self._of_all_nodes(np.concatenate([self.system.cells, cells]))
         else:
             self.system.add(cells)
         own = (structure.rows(cells) @ now.displacement).reshape(-1, MODES)

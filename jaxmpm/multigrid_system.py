@@ -1,4 +1,4 @@
-"""Equilibrium of all nodes at once without factors: for grids whose factors would take too long, or too much memory.
+"""Equilibrium of all nodes at once without factors: for grids on which those take longer, and more memory.
 
 The same equations as in `full_system.py`, with the same methods. Newton's systems are solved by GMRES with one multigrid V-cycle as
 preconditioner (`krylov.py`), only as far as it helps (S. Eisenstat, H. Walker, SIAM J. Sci. Comput. 17, 1996). The tangent stiffness
@@ -10,11 +10,12 @@ equation and one unknown more: the bordered system is regular at a limit point, 
 There is no inertia here to tell whether the structure is stable: see `stable` and `softest` for what is said instead.
 """
 
+import jax.numpy as jnp
 import numpy as np
 
 from jaxmpm.condensed import GRIP
 from jaxmpm.errors import RunError
-from jaxmpm.krylov import arnoldi, bordered, combined, gmres, no_border
+from jaxmpm.krylov import arnoldi, bordered, combined, gmres, image, no_border
 from jaxmpm.stiffness import MEAN, Structure
 
 FORCING = (1e-3, 1e-5)  # of a right side that its solution may miss, at most and at least
@@ -36,7 +37,7 @@ class MatrixFree:
         self.structure, self.cells = structure, np.zeros(0, int)
         self.asked = None  # tangents at the last step, if the loads stayed as they were
         self.gauge = gauge if gauge is not None else np.zeros(structure.strain.shape[1])
-        self.grid = structure.factors.multigrid.grid
+        self.grid = structure.grid
         self.levels = None  # of a preconditioner
         self.before = None  # size of the residual at the last step
         self.counts = {"solves": 0, "steps": 0, "preconditioners": 0, "looks": 0}
@@ -180,9 +181,9 @@ class MatrixFree:
     def softest(self, tangent, enough=EXHAUSTED):
         """The change of the unknowns (m,) against which the structure is softest, and whether it is stable.
 
-        Softness is over the stiffness of the preconditioner, whose lowest Ritz value is sought from noise, which holds all modes. With
-        symmetric tangents the structure is unstable if that is negative, and stable if it is not, unless one round of `krylov` (30 steps) does
-        not get near the lowest eigenvalue.
+        Softness is over the stiffness of the preconditioner, whose lowest Ritz vector is sought from noise, which holds all modes. The
+        structure is unstable if a motion along it gives energy (Ritz values alone do not tell: the preconditioned operator is not
+        normal, and they can be negative where no eigenvalue is), and stable if not, unless one round of `krylov` does not get near.
         """
         structure = self.structure
         operator, plain = self.grid.operator(self._fields(tangent), self.hourglass), no_border(self.grid.free.shape[1:])
@@ -191,9 +192,10 @@ class MatrixFree:
         start = np.random.default_rng(len(self.cells)).normal(size=structure.moves.shape[1])
         space = arnoldi(self.levels, operator, plain, self.grid.vector(self._field(start)), enough)
         self.counts["looks"] += len(space.ahead)
-        value, weights = lowest(space.hessenberg[:-1])
-        mode = structure.moves.T @ self.grid.field(combined(space, weights))[0].reshape(-1)
-        return mode / np.abs(self.by_unknowns @ mode).max(), bool(value > 0)
+        found = combined(space, lowest(space.hessenberg[:-1]))
+        energy = float(jnp.vdot(found, image(operator, plain, found)))
+        mode = structure.moves.T @ self.grid.field(found)[0].reshape(-1)
+        return mode / np.abs(self.by_unknowns @ mode).max(), energy > 0
 
     def _force(self, tangent, displacement):
         """Nodal forces (dofs,) of the tangent stiffness."""
@@ -209,7 +211,6 @@ def positive(tangent, elastic):
 
 
 def lowest(hessenberg):
-    """The Ritz value of least real part, and its vector's real part, of a square Hessenberg matrix."""
+    """The real part of the Ritz vector whose value has the least one, of a square Hessenberg matrix."""
     values, vectors = np.linalg.eig(hessenberg)
-    place = values.real.argmin()
-    return values[place].real, vectors[:, place].real
+    return vectors[:, values.real.argmin()].real

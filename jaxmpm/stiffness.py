@@ -13,7 +13,7 @@ import numpy as np
 import scipy.sparse as sparse
 
 from jaxmpm import elastic_grid, layout_macro
-from jaxmpm.elastic_grid import Answers, Multigrid
+from jaxmpm.elastic_grid import Answers, Multigrid, OnGrid
 from jaxmpm.errors import SceneError
 from jaxmpm.factors import Factors, dissection
 from jaxmpm.loads import Load, amplitudes_at
@@ -63,6 +63,7 @@ class Structure:
     order: np.ndarray  # of elimination of the unknowns, if they are eliminated
     factors: Factors | Answers  # of their stiffness, or what solves without
     response: np.ndarray  # uᵢ of the uncracked structure to a unit of each load, mm, (dofs, loads)
+    grid: OnGrid | None  # for multigrid, if it is for this structure
 
     @classmethod
     def of(cls, model):
@@ -79,7 +80,8 @@ class Structure:
         stiffness = (strain.T @ (weighted @ strain)).tocsr()
         moves, free = _unknowns(model, np.asarray(prepared.mass))
         prescribed, force = _loads(model, np.asarray(prepared.mass))
-        if elastic_grid.suits(shape, moves):
+        grid = OnGrid(_by_nodes(model, moves), n.cell, n.thickness) if elastic_grid.suits(shape, moves) else None
+        if grid is not None and moves.shape[1] >= elastic_grid.LARGE:
             order, factors = np.zeros(0, int), _on_grid_or_says_why(model, elastic, hourglass, moves)
         else:
             order = dissection(shape, moves)
@@ -88,7 +90,7 @@ class Structure:
         response = moves @ unknowns + prescribed
         edge = n.cell * n.thickness
         return cls(
-            strain, elastic, hourglass, volume, edge, stiffness, moves, prescribed, force, free, order, factors, response
+            strain, elastic, hourglass, volume, edge, stiffness, moves, prescribed, force, free, order, factors, response, grid
         )
 
     @property
@@ -205,10 +207,14 @@ def _factorised_or_says_why(reduced, order):
     return factors
 
 
+def _by_nodes(model, moves):
+    """1 where a degree of freedom is an unknown, (2, nx+1, ny+1)."""
+    return np.asarray(moves.sum(1)).reshape(model.free.shape)
+
+
 def _on_grid_or_says_why(model, elastic, hourglass, moves):
     """K by multigrid; SceneError where it is singular."""
-    n, shape = model.numerics, model.material.shape
-    free = np.asarray(moves.sum(1)).reshape(model.free.shape)
+    n, shape, free = model.numerics, model.material.shape, _by_nodes(model, moves)
     if not elastic_grid.is_held(np.asarray(model.material) >= 0, free):
         raise SceneError(LOOSE)
     tangent = np.moveaxis(elastic, 0, -1).reshape(MEAN, MEAN, *shape)

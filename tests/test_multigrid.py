@@ -8,7 +8,7 @@ import scipy.sparse
 import scipy.sparse.linalg
 
 from jaxmpm import grid
-from jaxmpm.elastic_grid import LARGE, Multigrid, is_held, suits
+from jaxmpm.elastic_grid import MANY, Multigrid, is_held, suits
 from jaxmpm.errors import RunError
 from jaxmpm.krylov import Border, gmres, image, no_border
 from jaxmpm.multigrid import Shares, applied, coarsest_unknowns, cycle, halvable, hierarchy, prolonged, restricted, shares_of, stencil_of
@@ -188,7 +188,7 @@ def test_what_is_held_and_what_can_slide_or_turn():
 
 
 def test_which_structures_suit():
-    moves = scipy.sparse.identity(LARGE, format="csr")
+    moves = scipy.sparse.identity(MANY, format="csr")
     assert suits((160, 160), moves)
     assert not suits((160, 160), scipy.sparse.identity(5_000, format="csr"))  # small
     tied = scipy.sparse.vstack([moves, moves]).tocsr()
