@@ -1,5 +1,6 @@
 """The size effect: Bažant's law and its energy, and what bands and smeared cracks make of similar beams."""
 
+import json
 import math
 
 import numpy as np
@@ -43,3 +44,25 @@ def test_bands_follow_the_size_of_the_beam_and_smeared_cracks_of_one_law_do_not(
     assert last == pytest.approx(first, rel=1e-3)  # similar grids and no length in the law: no size effect
     assert 1 / math.sqrt(8) < large / small < 0.8  # between that of fracture mechanics and none
     assert small == pytest.approx(first, rel=0.02)  # on the cells that it was fitted to the smeared one is right as well
+
+
+def test_the_command_writes_what_it_has_measured_and_draws_both_asymptotes(tmp_path, monkeypatch, capsys, figures):
+    from jaxmpm import cli
+
+    def measure(many):
+        for one in many:
+            for depth, rows in one.beams:
+                strength = 2.0 if "smeared, as" in one.name else 2.6 / math.sqrt(1 + depth / 180.0)
+                yield {"law": one.name, "depth": depth, "rows": rows, "cell": depth / rows, "strength": strength, "seconds": 0.1}
+
+    monkeypatch.setattr(size_effect, "measure", measure)
+    assert cli.main(["size-effect", "--out", str(tmp_path)]) == 0
+    out = capsys.readouterr().out
+    assert "band, other cells" in out and "180" in out and "inf" in out
+    found = json.loads((tmp_path / "size_effect.json").read_text())["fits"]
+    assert found["band"]["transition"] == pytest.approx(180.0, rel=1e-5) and found["smeared, as for 3.57 mm"]["energy"] is None
+    assert len((tmp_path / "size_effect.csv").read_text().splitlines()) == 1 + 4 * 5 + 5 + 2 * 3
+    main, beside = figures[0].axes
+    slopes = {tuple(np.round(np.diff(np.log(line.get_ydata()[[0, -1]])) / np.diff(np.log(line.get_xdata()[[0, -1]])), 3)) for line in main.lines if len(line.get_xdata()) == 200}
+    assert (-0.5,) in slopes and (0.0,) in slopes  # of fracture mechanics; of the smeared law
+    assert main.get_xscale() == main.get_yscale() == "log" and len(beside.lines) == 2
