@@ -25,9 +25,9 @@ E, NU, FT = 37000.0, 0.2, 3.9
 DAMAGE = {"law": "damage", "ft": FT, "Ep": 10.625, "n": 0.12933, "h": 0.05}  # of the scene `beam`: G_F = 0.1432 N/mm
 INITIAL = 0.1432 / 4  # N/mm: below the first slope of its curve, 2 f_t²/G_F, which a straight curve keeps
 LINEAR = {"law": "cohesive", "curve": "linear", "ft": FT, "GF": INITIAL, "h": 0.05}
-ROWS = 14  # cells over the depth: of 4k + 2 a notch, supports and a column in the middle fit
-ALIKE = (6, 14, 26, 50, 102)  # rows of cells that are nearly as large in every size
-OTHERS, AT = (10, 22, 30), 200.0  # rows of a beam of one depth (mm) on other cells
+ROWS = 46  # cells over the depth: of 4k + 2 a notch, supports and a column in the middle fit
+ALIKE = {100.0: 14, 200.0: 26, 400.0: 50, 800.0: 102}  # rows of cells of 7 to 8 mm, by depth
+OTHERS, AT = (10, 14, 22, 30), 200.0  # rows of a beam of one depth (mm) on other cells
 WHOLE = 0.99  # of a cell that a smeared law fills
 SAMPLES, FURTHEST = 200, 0.1  # of a path, and deflection at its end over D/50, mm
 BEHIND = 0.97  # of the peak: there a path has passed it
@@ -76,7 +76,7 @@ def on_other_cells() -> list[Series]:
     """The first and the last of `series` on cells that are alike in all sizes, and that differ in one."""
     first, others = SIZES[0] / ROWS, [(AT, rows) for rows in OTHERS]
     return [
-        Series("band, cells alike", lambda cell: DAMAGE, list(zip(SIZES, ALIKE, strict=True))),
+        Series("band, cells alike", lambda cell: DAMAGE, list(ALIKE.items())),
         Series("band, other cells", lambda cell: DAMAGE, others),
         Series(f"smeared, as for {first:.3g} mm, other cells", lambda cell: smeared(cell, first), others),
     ]

@@ -20,11 +20,12 @@ def plot_size_effect(rows: list[dict], fits: dict, path) -> Path:
     main = next(iter(fits.values()))
     with styled_figure() as figure:
         several = any(row["law"].endswith(ELSEWHERE) for row in rows)
-        figure.set_size_inches(7.4 if several else 5.0, 3.7)
+        figure.set_size_inches(6.6 if several else 4.6, 3.3)
         axes, *more = figure.subplots(1, 2, width_ratios=[2.2, 1]) if several else [figure.add_subplot()]
         for (name, fit), (colour, marker, line) in zip(fits.items(), LOOKS, strict=False):
             points = [(row["depth"], row["strength"]) for row in rows if row["law"] == name]
-            axes.plot(*zip(*points, strict=True), marker, color=colour, ms=6, mew=1.2, label=name, zorder=3)
+            inside = {"s": "none"}.get(marker, colour)  # what hides nothing below
+            axes.plot(*zip(*points, strict=True), marker, color=colour, mfc=inside, ms=7 if inside == "none" else 5.5, mew=1.2, label=name, zorder=3)
             if line:
                 axes.plot(along, fit.at(along), line, color=colour, lw=1.1, zorder=2)
         axes.set(xscale="log", yscale="log", xlabel="depth D [mm]", ylabel=r"nominal strength $\sigma_N$ [MPa]")
@@ -45,7 +46,8 @@ def _asymptotes(axes, fit, along) -> None:
     axes.plot(along, fit.asymptote(along), color=FAINT, lw=0.9, ls="-.", zorder=1)
     axes.annotate(r"strength alone, $B f_t$", (along[-1], fit.plastic), (-2, 3), textcoords="offset points", ha="right", color=INK, fontsize=8)
     axes.annotate(
-        "linear elastic\nfracture mechanics", (fit.transition, fit.plastic), (6, -2), textcoords="offset points", va="top", color=INK, fontsize=8
+        "linear elastic\nfracture mechanics", (1.5 * fit.transition, fit.asymptote(1.5 * fit.transition)), (4, 1), textcoords="offset points",
+        va="bottom", color=INK, fontsize=8,
     )  # fmt: skip
 
 
