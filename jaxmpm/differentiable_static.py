@@ -22,6 +22,7 @@ from jaxmpm.adjoint import Tape, WayBack
 from jaxmpm.errors import SceneError
 from jaxmpm.layout import lay_out
 from jaxmpm.mesostructure.sampling import Local
+from jaxmpm.one_thread import on_one_thread
 from jaxmpm.parameters import OfMaterials
 from jaxmpm.quasistatic import QuasiStatic
 from jaxmpm.scene import Scene
@@ -87,6 +88,7 @@ def _forward(run, model):
     return curve, (tape, model)
 
 
+@on_one_thread
 def _backward(run, kept, by):
     tape, model = kept
     by_readings = np.stack([np.asarray(by.gauges[name]) for name in tape.gauges.names], axis=1)

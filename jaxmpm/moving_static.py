@@ -19,6 +19,7 @@ from jaxmpm.errors import RunError
 from jaxmpm.layout import lay_out
 from jaxmpm.moving_path import Path, amplitudes
 from jaxmpm.moving_simulation import MovingSimulation
+from jaxmpm.one_thread import on_one_thread
 from jaxmpm.simulation import Simulation, check_finite
 from jaxmpm.stepping import CUT, critical, next_size, share_to_onset
 
@@ -78,6 +79,7 @@ class MovingStatic(MovingSimulation):
         """Time that the histories have come to, s."""
         return self.now
 
+    @on_one_thread
     def at_rest(self):
         """The reading at the start of the histories, with the loads that act there."""
         if amplitudes(self.model, 0.0, self.scene.solver.duration).any():
@@ -86,6 +88,7 @@ class MovingStatic(MovingSimulation):
         self.amplitude = amplitudes(self.model, 0.0, self.scene.solver.duration)
         return self.read()
 
+    @on_one_thread
     def advance(self, until: int) -> None:
         """Advance to the time of a sample; raises RunError where no equilibrium is found."""
         self._follow(until * self.dt)

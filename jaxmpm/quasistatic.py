@@ -12,6 +12,7 @@ from jaxmpm.equilibria import Equilibria
 from jaxmpm.errors import RunError
 from jaxmpm.follow import Follower
 from jaxmpm.layout import lay_out
+from jaxmpm.one_thread import on_one_thread
 from jaxmpm.scene import Scene
 from jaxmpm.simulation import Simulation
 from jaxmpm.stiffness import held_at
@@ -65,6 +66,7 @@ class QuasiStatic(Simulation):
         """Number of a sample."""
         return sample
 
+    @on_one_thread
     def at_rest(self) -> observe.Reading:
         """The reading at the start of the histories."""
         self.follower.begin()
@@ -72,6 +74,7 @@ class QuasiStatic(Simulation):
         self._take_over()
         return self.read()
 
+    @on_one_thread
     def advance(self, until: int) -> None:
         """Advance to the time of a sample, or by some increments; raises RunError where there is no way on."""
         began, follower = clock.perf_counter(), self.follower
