@@ -119,7 +119,8 @@ class WayBack:
         self.cells = np.asarray(self.pool.cell)[: int(self.pool.count)]
         if len(self.system.cells) < len(self.cells):  # the way back has been gone before
             self.system.add(self.cells[len(self.system.cells) :])
-        self.rows = self.structure.rows(self.cells)  # of the strain operator, those of the cells that crack
+        self.rows = self.first = self.structure.rows(self.cells)  # of the strain operator, those of the cells that crack
+        self.across, self.back = self.first.T.tocsr(), self.structure.moves.T.tocsr()
         count, shape = len(self.cells), self.model.material.shape
         size = self.model.numerics.size
         self.softening = np.zeros(count)  # derivatives by p, after the events that are still to come
@@ -149,6 +150,9 @@ class WayBack:
 
     def _step(self, step, before, by_reading, onset):
         structure, found, k = self.structure, step.found, step.cells
+        if self.first.shape[0] != MODES * k:
+            self.first = self.rows[: MODES * k]
+            self.across = self.first.T.tocsr()
         by_force = by_reading @ self.tape.gauges.of_force
         by_displacement = self.displacement + by_reading @ self.tape.gauges.of_displacement
         tangent = found.answers.tangent[:k] if k else np.zeros((0, MEAN, MEAN))
@@ -167,39 +171,38 @@ class WayBack:
     def _stiff(self, vector, tangent):
         """Kᵀ times a vector (dofs,)."""
         k = len(tangent)
-        rows = self.rows[: MODES * k]
-        stress = np.einsum("kij,ki->kj", tangent, (rows @ vector).reshape(-1, MODES)[:, :MEAN])
-        return self.structure.force_of(vector, self.cells[:k], stress, GRIP, rows)
+        stress = np.einsum("kij,ki->kj", tangent, (self.first @ vector).reshape(-1, MODES)[:, :MEAN])
+        return self.structure.force_of(vector, self.cells[:k], stress, GRIP, self.first)
 
     def _spread(self, by_strain):
         """Derivatives by displacement (dofs,) from those by the strains of the first cells (k, 3)."""
         k = len(by_strain)
         padded = np.zeros((k, MODES))
         padded[:, :MEAN] = by_strain
-        return self.rows[: MODES * k].T @ padded.reshape(-1)
+        return self.across @ padded.reshape(-1)
 
     def _solved(self, step, tangent, whole, by_force, onset):
         """λ of the unknowns (m,), and the derivatives by the energy that each band has spent (k,)."""
         structure, system, found, k = self.structure, self.system, step.found, step.cells
-        moves, direction = structure.moves, found.direction
+        moves, back, direction = structure.moves, self.back, found.direction
         system.keep(k)
         if isinstance(system, Condensed) and k:
             system.renew(found.strain, found.stress, tangent, found.answers.status[:k] == RESTS)
         controlled, by_spent, by_laws = self._controlled(step, onset)
         if controlled is None:
-            there = system.adjoint(tangent, moves.T @ whole)
+            there = system.adjoint(tangent, back @ whole)
             self.amplitude = self._by_amplitude(tangent, whole, by_force, moves @ there) if _stays(found) else 0 * self.amplitude
             return there, by_spent
         along = structure.prescribed @ direction
         driven = self._stiff_forward(along, tangent) - structure.force @ direction
         slope = whole @ along - by_force @ (structure.force @ direction) + self.amplitude @ direction
         self.amplitude = 0 * self.amplitude
-        there, back = system.adjoint(tangent, moves.T @ np.stack([whole, controlled], 1)).T
-        pull = moves.T @ driven
-        factor = (pull @ there - slope) / (pull @ back - controlled @ along)
+        there, beside = system.adjoint(tangent, back @ np.stack([whole, controlled], 1)).T
+        pull = back @ driven
+        factor = (pull @ there - slope) / (pull @ beside - controlled @ along)
         if by_laws is not None:
             self.laws = less(self.laws, factor, by_laws)
-        return there - factor * back, -factor * by_spent
+        return there - factor * beside, -factor * by_spent
 
     def _by_amplitude(self, tangent, whole, by_force, adjoint):
         """Derivatives by the amplitudes (loads,) of an equilibrium at which they stay, in which they follow those before it."""
@@ -216,7 +219,7 @@ class WayBack:
         if onset is not None and FOLLOWS:
             cell = onset.cells[0]
             rows = self.structure.rows([cell], MEAN)
-            by_laws, by_strain = ratio_slopes(self.model, jnp.asarray(rows @ step.displacement), jnp.int32(cell))
+            by_laws, by_strain = ratio_slopes(self.model, rows @ step.displacement, np.int32(cell))
             return rows.T @ np.asarray(by_strain), none, by_laws
         if control.kind == "dissipation":
             meant = control.among(np.ones(k))
@@ -249,7 +252,7 @@ class WayBack:
         had = np.zeros(capacity)
         if before is not None and before.cells:
             had[: before.cells] = np.asarray(before.found.answers.unknowns)[: before.cells, -1]
-        pool = self.pool._replace(count=jnp.int32(k))
+        pool = self.pool._replace(count=np.int32(k))
         self.laws, lasting, softening = pulled_back(
             self.model, self.laws, pool, had, fit(step.found.answers.unknowns), fit(step.found.answers.status),
             padded(step.found.strain.reshape(-1, MEAN)), jax.tree.map(padded, by),

@@ -139,16 +139,24 @@ class Condensed:
 
     def keep(self, count):
         """Forget all but the first cells: those that cracked last are whole again."""
-        gone = np.arange(count, len(self.cells))
-        if not len(gone):
+        rows, gone = 1 + MODES * count, slice(count, None)
+        if count >= len(self.cells):
             return
-        self._rebase(gone, self.weighted[gone], np.zeros((len(gone), MEAN)))
-        across, taken = self.flexibility[:, self.loose[2 * count :]].copy(), self.taken[2 * count :]
-        matrix = np.diag(1 / taken) + across[self.loose[2 * count :]]
-        _take_away(self.flexibility, across, np.linalg.solve(matrix, across.T))
-        rows = 1 + MODES * count
-        self.answers = (self.answers - across @ np.linalg.solve(matrix, self.answers[self.loose[2 * count :]]))[:rows]
+        across, corner = self.flexibility[rows:, :rows], self.flexibility[rows:, rows:]
+        stiffer = np.zeros((len(self.cells) - count, MODES, MODES))
+        stiffer[:, :MEAN, :MEAN] = self.weighted[gone] - self.secant[gone]
+        stiffer[:, 3, 3] = stiffer[:, 4, 4] = self.taken[2 * count :: 2]
+        more = np.zeros((len(stiffer), MODES))
+        more[:, :MEAN] = -self.constant[MEAN * count :].reshape(-1, MEAN)
+        answers = self.answers[rows:].copy()
+        answers[:, -1] -= corner @ more.reshape(-1)
+        matrix = np.eye(len(corner)) + _by_blocks(corner, stiffer)
+        after = np.linalg.solve(matrix, np.concatenate([across, answers], 1))
+        after = np.matmul(stiffer, after.reshape(len(stiffer), MODES, -1)).reshape(after.shape)
+        after[:, -1] += more.reshape(-1)
         self.flexibility, self.bare = self.flexibility[:rows, :rows], self.bare[:rows]
+        _take_away(self.flexibility, across.T, after[:, :rows])
+        self.answers = self.answers[:rows] - across.T @ after[:, rows:]
         self.cells, self.secant, self.constant = self.cells[:count], self.secant[:count], self.constant[: MEAN * count]
         self._index()
 
@@ -312,8 +320,8 @@ class Condensed:
 
 
 def _by_blocks(rows, blocks):
-    """rows (r, 3a) times a block diagonal matrix of blocks (a, 3, 3)."""
-    return np.matmul(rows.reshape(len(rows), len(blocks), 1, MEAN), blocks).reshape(rows.shape)
+    """rows (r, ba) times a block diagonal matrix of blocks (a, b, b)."""
+    return np.matmul(rows.reshape(len(rows), len(blocks), 1, -1), blocks).reshape(rows.shape)
 
 
 def _take_away(matrix, left, right):
