@@ -16,6 +16,7 @@ from jaxmpm import bands_static, compilation, grid
 from jaxmpm import model as models
 from jaxmpm.bands_static import TOGETHER
 from jaxmpm.condensed import GRIP, Condensed
+from jaxmpm.errors import RunError
 from jaxmpm.full_system import Full
 from jaxmpm.increment import Counts, Move, Pending, Point, Trial
 from jaxmpm.laws.balance import RESTS
@@ -29,6 +30,7 @@ SIDEWAYS = (0.05, -0.05, 0.3, -0.3, 2.0, -2.0)  # steps along the softest mode, 
 BROKEN = 40.0  # softening p of a band that is as good as broken
 MOST_AHEAD = 2.0  # of the last increment that the next is thought to go at most
 FIRST = 0.02  # of the last increment that the next is thought to go, where its measure says nothing
+STRAY = 100.0  # times the tolerance that a node may be out of balance: equations of cracked cells measure strains
 DENSE = 1000  # cells that crack, up to which a dense system is quicker
 
 
@@ -94,6 +96,15 @@ class Equilibria:
     def _many(self, cells):
         return cells > DENSE or self.structure.large
 
+    def _build(self, cells):
+        """Make the equations for some cracked cells."""
+        if self.structure.large or self._many(len(cells)):
+            self.system = self._of_all_nodes(cells)
+        else:
+            self.system = Condensed(self.structure, self.gauge)
+            if len(cells):
+                self.system.add(cells)
+
     def _of_all_nodes(self, cells):
         return (Full if self.structure.grid is None else MatrixFree)(self.structure, cells, self.gauge)
 
@@ -126,12 +137,21 @@ class Equilibria:
             return self._trial(found, displacement)
         ahead, factor = self._ahead(direction, control)
         guess = system.unknowns(now.displacement + ahead, now.amplitude + factor * direction)
-        newton = Newton(system, self.respond, self.strength, self.stiffness, self.tolerance)
-        found = newton.solve(guess, now.amplitude, direction, control, factor)
-        if not found.converged:
-            self.failed = found
-            return None
-        return self._trial(found, system.displacement(found.unknowns, found.stress, found.amplitude))
+        for rebuilt in (False, True):
+            newton = Newton(self.system, self.respond, self.strength, self.stiffness, self.tolerance)
+            found = newton.solve(guess, now.amplitude, direction, control, factor)
+            if not found.converged:
+                self.failed = found
+                return None
+            trial = self._trial(found, self.system.displacement(found.unknowns, found.stress, found.amplitude))
+            if trial.unbalanced <= STRAY * self.tolerance:
+                return trial
+            if not rebuilt:  # rounding has added up in the system
+                self._build(system.cells)
+        raise RunError(
+            f"an equilibrium leaves {trial.unbalanced:.1e} of the strength of a cell unbalanced at a node, more than {STRAY:g} times "
+            f"solver.tolerance = {self.tolerance:g}: the equations are too badly conditioned for it; raise it, or use softer supports"
+        )
 
     def _trial(self, found, displacement):
         """What may be accepted, with its energies."""
@@ -141,7 +161,9 @@ class Equilibria:
         given = structure.force @ ((now.amplitude + found.amplitude) / 2)
         work = np.where(structure.free, given, (now.force + force) / 2) @ move
         energy = self._energy(displacement, found.strain, found.answers.rows if len(cells) else None)
-        return Trial(found, displacement, self._ratio(displacement), energy, float(work), force)
+        left = structure.moves.T @ (force - structure.force @ found.amplitude)
+        unbalanced = np.abs(left).max(initial=0.0) / (self.strength * structure.edge)
+        return Trial(found, displacement, self._ratio(displacement), energy, float(work), force, unbalanced)
 
     def _energy(self, displacement, strain, rows):
         """Stored and dissipated energy, N·mm, of bands with these records."""
@@ -258,6 +280,7 @@ class Equilibria:
         if self.tape is not None:
             self.tape.keep(found, trial, len(cells))
         self.counts.increments += 1
+        self.counts.residual = max(self.counts.residual, trial.unbalanced)
         self.counts.iterations.append(len(found.history) - 1 if found.history else 0)
 
     def _released(self, trial):

@@ -49,6 +49,7 @@ class Trial:
     energy: float  # stored and dissipated, N·mm
     work: float  # of the loads on the way, by the trapezoidal rule
     force: np.ndarray  # of the cells on the nodes, N
+    unbalanced: float  # largest force at a node that is left over, over that which a cell bears at onset
     aside: bool = False  # reached by a fall: energy that is missing was taken by damping
 
     def missing(self, before: float) -> float:
@@ -73,3 +74,4 @@ class Counts:
     iterations: list = field(default_factory=list)  # of every increment that was accepted
     attempts: int = 0
     cut_backs: int = 0
+    residual: float = 0.0  # largest of `Trial.unbalanced` in any that was accepted

@@ -148,7 +148,7 @@ class QuasiStatic(Simulation):
         return {
             "amplitude": follower.equilibria.now.amplitude.tolist(), "follower": follower.meta(),
             "bridges": list(follower.bridges), "switches": list(follower.switches), "iterations": list(counts.iterations),
-            "increments": counts.increments, "attempts": counts.attempts, "cut_backs": counts.cut_backs,
+            "increments": counts.increments, "attempts": counts.attempts, "cut_backs": counts.cut_backs, "residual": counts.residual,
         }  # fmt: skip
 
     def resume(self, meta: dict) -> None:
@@ -159,7 +159,8 @@ class QuasiStatic(Simulation):
         follower.bridges, follower.switches = ([tuple(item) for item in meta[key]] for key in ("bridges", "switches"))
         counts = follower.equilibria.counts
         counts.iterations = meta["iterations"]
-        counts.increments, counts.attempts, counts.cut_backs = (meta[k] for k in ("increments", "attempts", "cut_backs"))
+        for name in ("increments", "attempts", "cut_backs", "residual"):
+            setattr(counts, name, meta[name])
 
     def report(self) -> dict:
         """What it took: the entry of summary.json."""
@@ -168,7 +169,7 @@ class QuasiStatic(Simulation):
         return {
             "control": self.scene.solver.control, "increments": counts.increments,
             "iterations": int(sum(counts.iterations)), "median_iterations": float(np.median(cracked)) if cracked else 0.0,
-            "attempts": counts.attempts, "cut_backs": counts.cut_backs, "bridges": len(follower.bridges),
+            "attempts": counts.attempts, "cut_backs": counts.cut_backs, "residual": counts.residual, "bridges": len(follower.bridges),
             "bridge_energy": float(sum(energy for _, energy in follower.bridges)),
             "switches": sum(found for _, found in follower.switches), "by_energy": follower.by_energy,
         }  # fmt: skip
