@@ -1,5 +1,6 @@
 """`jaxmpm size-effect` on the command line."""
 
+COLUMNS = ("law", "depth", "rows", "cell", "strength", "seconds")
 LINE = "{:<38}{:>11}{:>10}{:>15}{:>10}"
 
 
@@ -12,6 +13,7 @@ def add_command(commands, folder, keep_compiled) -> None:
     )  # fmt: skip
     size.add_argument("--out", metavar="DIR", default="results/size_effect", help="where to write (default: results/size_effect)")
     size.add_argument("--coarse", action="store_true", help="cells of a tenth of the depth only")
+    size.add_argument("--resume", action="store_true", help="keep the beams of size_effect.csv in DIR and go on")
     size.set_defaults(command=lambda options: run(options, folder, keep_compiled))
 
 
@@ -27,10 +29,11 @@ def run(options, folder, keep_compiled) -> int:
     many = size_effect.series(rows=10) if options.coarse else [*size_effect.series(), *size_effect.on_other_cells()]
     print(LINE.format("law", "depth, mm", "cell, mm", "strength, MPa", "time, s"))
     rows = []
-    for row in size_effect.measure(many):
+    known = kept(directory / "size_effect.csv") if options.resume else []
+    for row in size_effect.measure(many, known):
         rows.append(row)
         print(LINE.format(row["law"], f"{row['depth']:g}", f"{row['cell']:.3g}", f"{row['strength']:.4f}", f"{row['seconds']:.1f}"), flush=True)
-        write_table(directory / "size_effect.csv", list(row), [list(one.values()) for one in rows])
+        write_table(directory / "size_effect.csv", COLUMNS, [[one[name] for name in COLUMNS] for one in rows])
     fits = size_effect.fits(rows)
     write_object(directory / "size_effect.json", {"rows": rows, "fits": {name: said(fit) for name, fit in fits.items()}})
     print(*report(fits), sep="\n")
@@ -38,6 +41,24 @@ def run(options, folder, keep_compiled) -> int:
         plot_size_effect(rows, fits, directory / f"size_effect.{suffix}")
     print(f"written to {directory}: size_effect.csv size_effect.json size_effect.png size_effect.pdf")
     return 0
+
+
+def kept(path) -> list[dict]:
+    """The rows of a table that was written before, none where there is none; raises ResultError where it is another one."""
+    import csv
+
+    from jaxmpm.results import ResultError
+
+    if not path.exists():
+        return []
+    try:
+        with open(path, encoding="utf-8", newline="") as file:
+            return [
+                {"law": row["law"], "rows": int(row["rows"])} | {name: float(row[name]) for name in ("depth", "cell", "strength", "seconds")}
+                for row in csv.DictReader(file)
+            ]
+    except (KeyError, ValueError, TypeError) as error:
+        raise ResultError(f"{path}: expected the table of an earlier jaxmpm size-effect ({error!r}); start anew without --resume") from error
 
 
 def said(fit) -> dict:

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from jaxmpm import size_effect
+from jaxmpm import cli_size, size_effect
 from jaxmpm.laws.damage import Damage
 from jaxmpm.laws.elastic import Elastic
 
@@ -49,12 +49,16 @@ def test_bands_follow_the_size_of_the_beam_and_smeared_cracks_of_one_law_do_not(
 def test_the_command_writes_what_it_has_measured_and_draws_both_asymptotes(tmp_path, monkeypatch, capsys, figures):
     from jaxmpm import cli
 
-    def measure(many):
+    resumed = False
+
+    def measure(many, known):
+        assert bool(known) == resumed and all(row["strength"] > 0 for row in known)
         for one in many:
             for depth, rows in one.beams:
                 strength = 2.0 if "smeared, as" in one.name else 2.6 / math.sqrt(1 + depth / 180.0)
                 yield {"law": one.name, "depth": depth, "rows": rows, "cell": depth / rows, "strength": strength, "seconds": 0.1}
 
+    size_effect_measure = size_effect.measure
     monkeypatch.setattr(size_effect, "measure", measure)
     assert cli.main(["size-effect", "--out", str(tmp_path)]) == 0
     out = capsys.readouterr().out
@@ -66,3 +70,9 @@ def test_the_command_writes_what_it_has_measured_and_draws_both_asymptotes(tmp_p
     slopes = {tuple(np.round(np.diff(np.log(line.get_ydata()[[0, -1]])) / np.diff(np.log(line.get_xdata()[[0, -1]])), 3)) for line in main.lines if len(line.get_xdata()) == 200}
     assert (-0.5,) in slopes and (0.0,) in slopes  # of fracture mechanics; of the smeared law
     assert main.get_xscale() == main.get_yscale() == "log" and len(beside.lines) == 2
+    resumed = True
+    assert cli.main(["size-effect", "--out", str(tmp_path), "--resume"]) == 0
+    (row,) = size_effect_measure([size_effect.Series("band", None, [(50.0, 46)])], cli_size.kept(tmp_path / "size_effect.csv"))
+    assert row["strength"] == pytest.approx(2.6 / math.sqrt(1 + 50 / 180.0))  # taken over, not run
+    (tmp_path / "size_effect.csv").write_text("law,depth\nband,50\n")
+    assert cli.main(["size-effect", "--out", str(tmp_path), "--resume"]) == cli.BAD_INPUT
