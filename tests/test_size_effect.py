@@ -65,11 +65,11 @@ def test_the_command_writes_what_it_has_measured_and_draws_both_asymptotes(tmp_p
     assert "band, other cells" in out and "180" in out and "inf" in out
     found = json.loads((tmp_path / "size_effect.json").read_text())["fits"]
     assert found["band"]["transition"] == pytest.approx(180.0, rel=1e-5) and found["smeared, as for 1.09 mm"]["energy"] is None
-    assert len((tmp_path / "size_effect.csv").read_text().splitlines()) == 1 + 4 * 5 + 4 + 2 * 4
+    assert len((tmp_path / "size_effect.csv").read_text().splitlines()) == 1 + 4 * 5 + 4 + 4
     main, beside = figures[0].axes
     slopes = {tuple(np.round(np.diff(np.log(line.get_ydata()[[0, -1]])) / np.diff(np.log(line.get_xdata()[[0, -1]])), 3)) for line in main.lines if len(line.get_xdata()) == 200}
     assert (-0.5,) in slopes and (0.0,) in slopes  # of fracture mechanics; of the smeared law
-    assert main.get_xscale() == main.get_yscale() == "log" and len(beside.lines) == 2
+    assert main.get_xscale() == main.get_yscale() == "log" and len(beside.lines) == 1
     resumed = True
     assert cli.main(["size-effect", "--out", str(tmp_path), "--resume"]) == 0
     (row,) = size_effect_measure([size_effect.Series("band", None, [(50.0, 46)])], cli_size.kept(tmp_path / "size_effect.csv"))
