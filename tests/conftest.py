@@ -1,4 +1,5 @@
-"""Compilation is what costs time here: the code generator that is quickest, and a cache to share.
+"""Compilation is what costs time here: the code generator that is quickest, little optimisation, a cache to share, and for each worker
+cores of its own, as many as threads of its.
 
 A file that compares what runs yield, in programs that take longer to optimise than to run, says
 `HASTY = True`: they are hardly optimised. Not one that takes derivatives: without optimisation this code
@@ -16,7 +17,12 @@ _kept = tempfile.TemporaryDirectory(prefix="jaxmpm-tests-")
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", _kept.name)  # before JAX is imported
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")  # small ones are many
 
-_flags = " ".join([os.environ.get("XLA_FLAGS", ""), "--xla_cpu_use_fusion_emitters=false"]).strip()
+if "PYTEST_XDIST_WORKER" in os.environ and hasattr(os, "sched_setaffinity"):
+    _cores, _number = sorted(os.sched_getaffinity(0)), int(os.environ["PYTEST_XDIST_WORKER"].removeprefix("gw"))
+    os.sched_setaffinity(0, _cores[_number :: int(os.environ["PYTEST_XDIST_WORKER_COUNT"])] or _cores)
+
+_quick = "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=1 --xla_cpu_parallel_codegen_split_count=1"
+_flags = " ".join([os.environ.get("XLA_FLAGS", ""), _quick]).strip()
 _probe = subprocess.run(  # an XLA that does not know a flag ends the process
     [sys.executable, "-c", "import jax; jax.devices()"],
     env=os.environ | {"XLA_FLAGS": _flags},

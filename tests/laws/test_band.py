@@ -15,7 +15,7 @@ from jaxmpm.laws.band import at_rest, secant
 CASES = pytest.mark.parametrize(
     "kind, size",
     [
-        ("damage", 3), ("damage", 4), ("released", 3), ("closing", 3), ("viscous", 3), ("hordijk", 3),
+        ("damage", 4), ("released", 3), ("closing", 3), ("viscous", 3), ("hordijk", 3),
     ],
 )  # fmt: skip
 NAMES = ("E", "ft", "Ep", "n", "h")

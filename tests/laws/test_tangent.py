@@ -24,9 +24,9 @@ def respond(*args):
 WEIGHTS = {-2: 1 / 12, -1: -2 / 3, 1: 2 / 3, 2: -1 / 12}  # central difference of fourth order
 
 BANDS = [("damage", size) for size in (1, 3, 4, 6)]
-BANDS += [("hordijk", 1), ("hordijk", 6)]
+BANDS += [("hordijk", 1)]
 BANDS += [(curve, 3) for curve in CURVES]
-BANDS += [("released", 3), ("released", 6), ("closing", 3), ("viscous", 3)]
+BANDS += [("released", 3), ("closing", 3), ("viscous", 3)]
 BANDS += [("plastic", 4)]
 
 
