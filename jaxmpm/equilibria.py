@@ -235,7 +235,7 @@ class Equilibria:
 
     def share_to_onset(self, trial):
         """Share of an increment after which the first cell is as far beyond onset as is aimed at; 1 if none is too far."""
-        return share_to_onset(self.now.ratio, np.where(self.now.ratio > 0, trial.ratio, 0.0), self.overshoot)
+        return share_to_onset(self.now.ratio, trial.ratio, self.overshoot)
 
     def reach_to_onset(self):
         """Multiples of the last increment after which, going on like that, the first cell reaches onset."""
@@ -268,7 +268,7 @@ class Equilibria:
         change = found.amplitude - now.amplitude
         load = float(np.abs(change / self.scale).max())
         if np.abs(move).max() > 0 and (load > 0 or self.last is None):
-            rise = np.where(now.ratio > 0, trial.ratio - now.ratio, 0.0)
+            rise = np.where(trial.ratio > 0, trial.ratio - now.ratio, 0.0)
             gauge = abs(float(self.gauge @ move)) if self.gauge is not None else 0.0
             self.last = Move(move, rise, change, load, gauge, spent - now.spent)
         self.now = Point(

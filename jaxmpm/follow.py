@@ -18,10 +18,11 @@ from jaxmpm.stepping import CUT, next_size
 from jaxmpm.stiffness import amplitudes, loads_of
 
 ENERGY = (0.02, 1e-5, 0.1)  # first, smallest and largest energy of an increment, over that of breaking a cell
-GAUGE = (0.1, 1e-4, 1.0)  # the same of the gauge's reading, over its last change before the first crack
+GAUGE = (0.1, 1e-4, 1.0)  # the same of the gauge's reading, over what it would change without cracks in the largest increment of time
 MISSING = (0.005, 0.002)  # energy that an increment may miss, over its work, and over that of breaking a cell
 LEAP = 4  # largest increments of time that an increment of energy may take the loads
 CANDIDATES = 4  # bands that are tried one by one for control
+SAME = 1e-9  # of the duration: times that differ by less are one
 STAY = 3  # increments at least under control of energy, once it has taken over
 BRIDGES = 400  # at most in a run
 KEPT = "time", "by_energy", "began", "span", "sense", "begun"  # of a follower, over a restart
@@ -74,12 +75,18 @@ class Follower:
     def __post_init__(self):
         self.size = {"load": self.first}
         self.limits = {"load": (self.smallest, self.largest)}
+        self.turns = _turns(loads_of(self.equilibria.model))
 
     def begin(self):
-        """The equilibrium at the start of the histories."""
-        target = amplitudes(self.equilibria.model, 0.0)
-        if self._by_load(0.0, target) is None:
-            raise RunError("no equilibrium at t = 0: the loads that act there are more than the structure bears")
+        """The equilibrium at the start of the histories, without cracks; raises RunError where that is not enough."""
+        eq = self.equilibria
+        trial = eq.attempt(amplitudes(eq.model, 0.0) - eq.now.amplitude, Control("load", 1.0))
+        if eq.share_to_onset(trial) < 1:
+            raise RunError(
+                f"the loads at t = 0 stress a cell to {trial.ratio.max():.3g} times what it bears: expected histories that "
+                "begin with less, so that cracks can be followed"
+            )
+        eq.accept(trial)
 
     @property
     def farthest(self):
@@ -107,11 +114,16 @@ class Follower:
                 return
         if self.line is None:
             self._take_over()
-        if self._by_energy(until):
+        line, leads = self.line, self.control == "time" or self.line.increments > 0
+        if self._by_energy(until, back=leads):
             return
         if self.control != "time":  # nothing is spent as the loads go back and forth: they go on
             self.line = None
             if self._towards(until):
+                return
+        if not leads:  # neither do the loads: the structure snaps back
+            self.line = line
+            if self._by_energy(until):
                 return
         self._bridge(until)
 
@@ -124,6 +136,8 @@ class Follower:
     def _towards(self, until):
         """An increment of time; whether there is one."""
         eq = self.equilibria
+        ahead = self.turns[self.turns > self.time + SAME * self.duration]
+        until = min([until, *ahead[:1]])  # the farthest that a load goes is not passed over
         opened = eq.open_critical()
         size = min(self.size["load"], until - self.time)
         size = max(min(size, self.span * eq.reach_to_onset()), self.smallest)
@@ -163,14 +177,6 @@ class Follower:
         self._accept(trial, "load", 0.0)
         return True
 
-    def _by_load(self, time, target):
-        eq = self.equilibria
-        trial = eq.attempt(target - eq.now.amplitude, Control("load", 1.0))
-        if trial is not None:
-            eq.accept(trial)
-            self.time = time
-        return trial
-
     def _try(self, direction, control):
         """An attempt; None where it came to nothing, or to an equilibrium that is no neighbour: energy is missing on the way."""
         eq = self.equilibria
@@ -193,8 +199,8 @@ class Follower:
         eq, model = self.equilibria, self.equilibria.model
         knots = np.unique(np.concatenate([[self.duration], *(np.asarray(load.time) for load in loads_of(model))]))
         knots = knots[knots <= self.duration]
-        ahead = knots[knots > self.time + 1e-9 * self.duration]
-        behind = knots[knots <= self.time + 1e-9 * self.duration]
+        ahead = knots[knots > self.time + SAME * self.duration]
+        behind = knots[knots <= self.time + SAME * self.duration]
         end, begin = (ahead[0] if len(ahead) else knots[-1]), behind[-1]
         start = eq.now.amplitude
         direction = amplitudes(model, end) - start
@@ -209,18 +215,22 @@ class Follower:
         first, *limits = (share * eq.energy_of_a_cell for share in ENERGY)
         self.size["dissipation"], self.limits["dissipation"] = min(first, next_size(self.begun, self.begun, 0, *limits)), limits
         if self.control == "gauge" and "gauge" not in self.limits:
-            unit = max(eq.last.gauge if eq.last else 0.0, 1e-12)
+            elastic = eq.gauge @ (eq.structure.response @ direction)
+            unit = max(abs(elastic) * min(self.largest / (end - begin), 1.0), 1e-12)
             self.size["gauge"], self.limits["gauge"] = GAUGE[0] * unit, (GAUGE[1] * unit, GAUGE[2] * unit)
-            self.sense = 1.0 if eq.gauge @ eq.last.displacement >= 0 else -1.0
+            self.sense = 1.0 if elastic >= 0 else -1.0
 
-    def _by_energy(self, until):
-        """An increment of the gauge or of dissipated energy, of all bands or of the one that would run away; whether there is one."""
+    def _by_energy(self, until, back=True):
+        """An increment of the gauge or of dissipated energy, of all bands or of the one that would run away; whether there is one.
+
+        `back`: whether the loads may go back with it.
+        """
         self.equilibria.open_critical()
         if self.line.increments and self._with(self.line.kind, self.line.only, until):
             return True
         first = [("gauge", None)] if self.control == "gauge" else [("dissipation", None)] * (self.control == "dissipation")
         for kind, only in (*first, *(("dissipation", k) for k in self._runaways()), ("dissipation", None)):
-            if self._with(kind, only, until):
+            if self._with(kind, only, until, back):
                 self.line.kind, self.line.only = kind, only
                 self.begun = self.size[kind] if kind == "dissipation" else self.begun
                 return True
@@ -237,7 +247,7 @@ class Follower:
         order = np.argsort(-failed.torn, kind="stable")[:CANDIDATES]
         return [int(k) for k in order if failed.flips[k] > 1]
 
-    def _with(self, kind, only, until):
+    def _with(self, kind, only, until, back=True):
         """An increment by the gauge, or by the energy of one band or of all; whether there is one."""
         eq, line = self.equilibria, self.line
         small, _ = self.limits[kind]
@@ -249,6 +259,8 @@ class Follower:
         while True:
             reached = eq.spent(only) if kind == "dissipation" else eq.reading
             trial = self._try(line.direction, Control(kind, reached + self._sense_of(kind) * size, size, only))
+            if trial is not None and trial.found.factor < 0 and not back:
+                return False
             if trial is not None and trial.found.factor > most:
                 trial = self._try(line.direction, Control("load", most))
             if trial is None or abs(trial.found.factor) > line.bound:
@@ -291,3 +303,13 @@ class Follower:
         self.bridges.append((self.time, energy))
         self.time, self.line = time, None
         self.span, self.size["load"] = np.inf, self.first
+
+
+def _turns(loads):
+    """Times (s) at which any history turns back, in order; where it stays in between, that at which it goes on."""
+    found = [np.zeros(0)]
+    for load in loads:
+        way = np.sign(np.diff(np.asarray(load.value)))
+        ahead = np.flatnonzero(way)
+        found.append(np.asarray(load.time)[ahead[1:][np.diff(way[ahead]) != 0]])
+    return np.unique(np.concatenate(found))

@@ -143,6 +143,42 @@ def test_a_restart_in_a_snap_back_goes_on_by_energy():
     assert other.follower.size == pytest.approx(sim.follower.size) and other.follower.by_energy == sim.follower.by_energy
 
 
+@pytest.mark.parametrize("control", ["time", "dissipation", "delta"])
+def test_loads_that_turn_back_take_the_structure_along(control):
+    """Opened to 0.06 mm, closed, opened again: the energy that a crack as far open has taken, whatever is under control."""
+    history = "displacements.0.history={time=[0.0, 3e-3, 5e-3, 8e-3, 12e-3], value=[0.0, 0.03, -0.005, 0.06, 0.0]}"
+    intact = [f"materials.{name}.bulk.nu=0.0" for name in ("weak", "concrete")]
+    sim = QuasiStatic.of(bar(100, history, f'solver.control="{control}"', "output.samples=50", *intact))
+    sim.at_rest()
+    sample, farthest = 0, 0.0
+    while not sim.finished:
+        sample += 1
+        sim.advance(sample)
+        farthest = max(farthest, float(sim.read().gauges["delta"]))
+    load = np.linspace(1.0, 0.0, 2000, endpoint=False)
+    delta = np.array([share * FT / E * 100 + opening(share) for share in load])
+    last = np.searchsorted(delta, 0.06)
+    spent = FT * 100 * (np.trapezoid(load[:last], delta[:last]) + delta[0] / 2 - load[last] * delta[last] / 2)
+    assert 0.05 < farthest <= 0.06 + 1e-9
+    assert float(sim.read().dissipated) == pytest.approx(spent, rel=3e-3)
+
+
+def test_the_farthest_that_a_load_goes_is_not_passed_over():
+    """A quick pull between two samples, in increments that are longer: the crack that it opens is there."""
+    history = "displacements.0.history={time=[0.0, 1e-3, 2e-3, 12e-3], value=[0.0, 0.012, 0.0, 0.0]}"
+    sim = QuasiStatic.of(bar(100, history, "solver.largest_increment=1.0", "solver.first_increment=0.3", "output.samples=2"))
+    sim.at_rest()
+    sim.advance(1)
+    assert sim.cracked() == 2 and sim.follower.equilibria.now.ratio.max() < 1.03
+    assert float(sim.read().dissipated) > 0.3
+
+
+def test_loads_that_crack_at_once_are_refused(tmp_path):
+    """What no increment leads to is no equilibrium to begin with, though uncracked cells would bear it."""
+    with pytest.raises(RunError, match="loads at t = 0 stress a cell to 2.25 times what it bears"):
+        run_scene(bar(100, "displacements.0.history.value=[0.02, 0.06, 0.2]"), tmp_path, progress=False)
+
+
 def test_no_equilibrium_stops_with_all_on_disk(tmp_path, monkeypatch):
     """A bar pulled by a force that it cannot bear: no equilibrium, and no bridge leads to one."""
     from jaxmpm import bridge
@@ -188,7 +224,7 @@ def test_explicit_refuses_what_only_equilibrium_uses():
 
 def test_bridge_is_the_last_resort(monkeypatch):
     """With control by energy taken away the snap-back of a bar is a fall, whose energy is accounted for."""
-    monkeypatch.setattr(follow.Follower, "_by_energy", lambda self, until: False)
+    monkeypatch.setattr(follow.Follower, "_by_energy", lambda *args, **more: False)
     sim = QuasiStatic.of(bar(800, "displacements.0.history.value=[0.0, 0.06, 0.2]", "output.samples=20"))
     sim.at_rest()
     for sample in range(1, 21):
