@@ -86,7 +86,8 @@ class Full:
             column += self.across @ (self.blocks @ (self.by_prescribed @ direction))
             row, own = slopes
             there, along = self.factors.solve(-np.stack([residual, column], 1)).T
-            factor = (short - row @ there) / (own + row @ along)
+            slope = own + row @ along
+            factor = (short - row @ there) / slope if slope != 0 else np.nan  # where it has no say in what is controlled
             return there + factor * along, factor
         except RuntimeError:  # singular
             return np.full_like(residual, np.nan), np.nan
