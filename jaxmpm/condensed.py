@@ -270,8 +270,10 @@ class Condensed:
     def softest(self, tangent):
         """The change of the unknowns (3k,) against which the structure is softest, and whether it is stable."""
         matrix, change = self._matrix(tangent)
-        factors, stable = _factors(matrix)
         mode = np.ones(len(self.mean))
+        if not len(matrix):  # all rest, as in the base
+            return mode, True
+        factors, stable = _factors(matrix)
         if factors is None:
             return mode, False
         for _ in range(INVERSE):
@@ -292,7 +294,7 @@ class Condensed:
         seen -= self.flexibility @ self._softened(seen)  # as in the base
         matrix, change = self._matrix(tangent.swapaxes(1, 2))
         active, _ = _solved(matrix, seen[self._mean_of(self.active)])
-        force = np.matmul(change, active.reshape(len(change), MEAN, -1)).reshape(active.shape)
+        force = np.matmul(change, active.reshape(len(change), MEAN, columns.shape[1])).reshape(active.shape)
         seen -= self._rows.T @ force
         lacks = self._softened(seen)
         lacks[self._mean_of(self.active)] += force
@@ -321,7 +323,7 @@ class Condensed:
 
 def _by_blocks(rows, blocks):
     """rows (r, ba) times a block diagonal matrix of blocks (a, b, b)."""
-    return np.matmul(rows.reshape(len(rows), len(blocks), 1, -1), blocks).reshape(rows.shape)
+    return np.matmul(rows.reshape(len(rows), len(blocks), 1, blocks.shape[-1]), blocks).reshape(rows.shape)
 
 
 def _take_away(matrix, left, right):

@@ -105,6 +105,37 @@ def test_both_systems_make_the_same_step(made):
         assert found[0][2] == found[1][2]
 
 
+def test_bands_that_are_all_at_rest_leave_no_system_to_solve(made):
+    """Unloading: every band answers as the base says, and only what is out of balance is left, whatever is controlled."""
+    model, _, structure = made
+    cells = np.flatnonzero(np.asarray(model.material).reshape(-1) >= 0)[[45, 200, 46]]
+    gauge = np.zeros(model.free.size)
+    gauge[np.asarray(model.gauges["left_notch"].dofs)] = model.gauges["left_notch"].weights
+    condensed, full = Condensed(structure, gauge), Full(structure, cells, gauge)
+    condensed.add(cells)
+    secant, a = np.stack([0.3 * structure.elastic[cells[0]]] * 3), amplitudes(model, 2e-3)
+    condensed._rebase(np.arange(3), structure.volume * secant, np.zeros((3, 3)))
+    u = structure.response @ a
+    own = structure.rows(cells, 3) @ u
+    stress = np.einsum("kij,kj->ki", secant, own.reshape(3, 3)).reshape(-1)
+    for direction in (None, a):
+        found = []
+        for system in (condensed, full):
+            x = system.unknowns(u, a)
+            slopes = None if direction is None else system.reading_slopes(secant, direction)
+            short = 0.1 - system.reading(x, stress, a)
+            change, factor = system.step(secant, system.residual(x, stress, a), direction, slopes, short)
+            found.append((system.strain(x + change, a if direction is None else a + factor * direction), factor, system.stable))
+        assert not len(condensed.active)
+        np.testing.assert_allclose(found[0][0], found[1][0], rtol=1e-7)
+        assert found[0][1] == pytest.approx(found[1][1], rel=1e-8)
+        assert found[0][2] == found[1][2]
+    assert condensed.softest(secant)[1]
+    right = np.random.default_rng(6).normal(size=(structure.moves.shape[1], 2))
+    ours, expected = (system.adjoint(secant, right) for system in (condensed, full))
+    np.testing.assert_allclose(ours, expected, atol=1e-8 * np.abs(expected).max())
+
+
 def test_whole_curve_is_the_same_by_either_system(monkeypatch):
     """The plate to a little behind its peak, dense and sparse."""
     from jaxmpm import equilibria
