@@ -23,6 +23,7 @@ MISSING = (0.005, 0.002)  # energy that an increment may miss, over its work, an
 LEAP = 4  # largest increments of time that an increment of energy may take the loads
 CANDIDATES = 4  # bands that are tried one by one for control
 SAME = 1e-9  # of the duration: times that differ by less are one
+NOTHING = 1e-4  # of the loads at which energy took control: a structure that bears no more has broken
 STAY = 3  # increments at least under control of energy, once it has taken over
 BRIDGES = 400  # at most in a run
 KEPT = "time", "by_energy", "began", "span", "sense", "begun"  # of a follower, over a restart
@@ -284,6 +285,13 @@ class Follower:
         line.increments += 1
         self.by_energy += 1
         self.time = max(line.time(line.factor), 0.0)
+        eq = self.equilibria
+        left, were = (np.abs(a / eq.scale)[:-1].max(initial=0.0) for a in (eq.now.amplitude, line.start))  # gravity aside
+        if left < NOTHING * were:
+            raise RunError(
+                f"the loads have come back to nothing from what they were at t = {self.farthest:.6g} s: the structure has broken, and no "
+                "equilibrium bears more of their histories; all is on disk up to there"
+            )
         if line.factor >= 1 - 1e-9:
             self.line, self.time = None, line.times[-1]
         elif self.control == "time" and line.factor > 0 and change > 0 and line.increments >= STAY:

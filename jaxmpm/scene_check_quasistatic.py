@@ -57,9 +57,12 @@ def _check_points(tree, solver, static, problems):
 def _check_increments(solver, problems):
     known = {"first_increment": 0.005, "smallest_increment": 1e-6, "largest_increment": 0.02}
     small, large = (solver.get(key, known[key]) for key in ("smallest_increment", "largest_increment"))
-    numbers = all(isinstance(value, int | float) for value in (small, large))
+    numbers = all(isinstance(value, int | float) and value > 0 for value in (small, large))
     if numbers and not small < large:
-        problems.add(("solver", "smallest_increment"), f"less than solver.largest_increment = {large:g}")
+        if "smallest_increment" in solver:
+            problems.add(("solver", "smallest_increment"), f"less than solver.largest_increment = {large:g}")
+        else:
+            problems.add(("solver", "largest_increment"), f"more than solver.smallest_increment = {written(small)}, the usual one")
 
 
 def _check_control(tree, solver, problems):

@@ -179,16 +179,31 @@ def test_loads_that_crack_at_once_are_refused(tmp_path):
         run_scene(bar(100, "displacements.0.history.value=[0.02, 0.06, 0.2]"), tmp_path, progress=False)
 
 
+def pulled_by_a_force(*more):
+    """A bar under more than it bears."""
+    tree = bar(100, *more).to_dict()
+    (load,) = tree.pop("displacements")
+    tree["forces"] = [load | {"kind": "force", "history": {"time": [0.0, 12e-3], "value": [0.0, 600.0]}}]
+    tree["gauges"]["load"]["set"] = "left"
+    return type(bar(100)).from_dict(tree | {"output": {"samples": 20, "frames": 2}})
+
+
+def test_a_force_that_has_come_back_to_nothing_ends_the_run(tmp_path):
+    """The opening under control: the force goes to its peak and back to zero, and its history is never gone to the end."""
+    with pytest.raises(RunError, match="loads have come back to nothing"):
+        run_scene(pulled_by_a_force('solver.control="delta"', "solver.largest_increment=0.2"), tmp_path, progress=False)
+    history = results.read_history(tmp_path / "history.csv")
+    assert 280 < np.abs(history["load"]).max() < 291
+    assert history["external_work"][-1] == pytest.approx(9.93, rel=0.01)
+
+
 def test_no_equilibrium_stops_with_all_on_disk(tmp_path, monkeypatch):
     """A bar pulled by a force that it cannot bear: no equilibrium, and no bridge leads to one."""
     from jaxmpm import bridge
 
     monkeypatch.setattr(bridge, "LOOKS", 2)
-    tree = bar(100).to_dict()
-    (load,) = tree.pop("displacements")
-    tree["forces"] = [load | {"kind": "force", "history": {"time": [0.0, 12e-3], "value": [0.0, 600.0]}}]
-    tree["gauges"]["load"]["set"] = "left"
-    scene = type(bar(100)).from_dict(tree | {"output": {"samples": 20, "frames": 2}})
+    monkeypatch.setattr(follow.Follower, "_by_energy", lambda *args, **more: False)
+    scene = pulled_by_a_force()
     with pytest.raises(RunError, match="no equilibrium after t = "):
         run_scene(scene, tmp_path, progress=False)
     summary = json.loads((tmp_path / "summary.json").read_text())
@@ -208,6 +223,7 @@ def test_no_equilibrium_stops_with_all_on_disk(tmp_path, monkeypatch):
         ("solver.time_step_factor=0.5", "there are no time steps"),
         ('solver.control="cmod"', "solver.control"),
         ("solver.smallest_increment=0.5", "less than solver.largest_increment"),
+        ("solver.largest_increment=1e-7", "solver.largest_increment = 1e-07: expected more than solver.smallest_increment = 1e-06"),
         ("bodies.0.velocity=[1.0, 0.0]", "bodies.0.velocity"),
     ],
 )
