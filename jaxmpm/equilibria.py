@@ -31,7 +31,6 @@ BROKEN = 40.0  # softening p of a band that is as good as broken
 MOST_AHEAD = 2.0  # of the last increment that the next is thought to go at most
 FIRST = 0.02  # of the last increment that the next is thought to go, where its measure says nothing
 STRAY = 100.0  # times the tolerance that a node may be out of balance: equations of cracked cells measure strains
-SPARE = 1e-9  # of its elastic stiffness, that a cell keeps however far its crack has opened
 DENSE = 1000  # cells that crack, up to which a dense system is quicker
 
 
@@ -112,18 +111,11 @@ class Equilibria:
     # -- attempts --------------------------------------------------------------------------------
 
     def respond(self, strain):
-        """`Answers` of all bands to the strains (3k,) of their cells, and next to nothing that cells bear besides.
-
-        What has come off altogether, by a law whose traction vanishes, would be free to move without it.
-        """
-        pool, cells = self.state.pool, self.system.cells
+        """`Answers` of all bands to the strains (3k,) of their cells."""
+        pool = self.state.pool
         found = self._call(bands_static.answers, pool, bands_static.strains_of(pool, strain))
         asked = ("stress", "tangent", "spent", "spends", "status")
-        found = found._replace(**{name: np.array(getattr(found, name)) for name in asked})
-        besides = SPARE * self.structure.elastic[cells]
-        found.tangent[: len(cells)] += besides
-        found.stress[: len(cells)] += np.einsum("kij,kj->ki", besides, strain.reshape(-1, MEAN))
-        return found
+        return found._replace(**{name: np.asarray(getattr(found, name)) for name in asked})
 
     def _mean(self, displacement):
         n = self.model.numerics

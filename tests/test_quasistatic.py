@@ -179,18 +179,6 @@ def test_loads_that_crack_at_once_are_refused(tmp_path):
         run_scene(bar(100, "displacements.0.history.value=[0.02, 0.06, 0.2]"), tmp_path, progress=False)
 
 
-def test_a_part_that_has_come_off_is_no_end_of_the_run():
-    """A law whose traction vanishes: half the bar is held in one direction only, and its last increments go on."""
-    bands = [f'materials.{name}.band={{law="cohesive", curve="linear", ft={ft}, GF=0.1, h=0.05}}' for name, ft in (("weak", 2.85), ("concrete", 3.0))]
-    sim = QuasiStatic.of(bar(100, *bands, "output.samples=40"))
-    sim.at_rest()
-    for sample in range(1, 41):
-        sim.advance(sample)
-    reading = sim.read()
-    assert float(reading.dissipated) == pytest.approx(10.0, rel=1e-3) and float(reading.gauges["delta"]) == pytest.approx(0.2)
-    assert abs(float(reading.gauges["load"])) < 1e-3 and not sim.follower.bridges
-
-
 def pulled_by_a_force(*more):
     """A bar under more than it bears."""
     tree = bar(100, *more).to_dict()
