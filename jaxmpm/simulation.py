@@ -177,8 +177,8 @@ class Simulation:
             raise RunError(
                 f"displacement gradient {float(reading.gradient):.3g} {when} in the uncracked cell "
                 f"at {self.place(reading.gradient_cell)}, more than solver.gradient_limit = "
-                f"{solver.gradient_limit:g}: too large a motion for the total frame; stop earlier "
-                "or, where the small-strain error is acceptable, raise the limit"
+                f"{solver.gradient_limit:g}: too large a motion for the total frame; stop earlier, "
+                'use solver.frame = "updated" or, where the small-strain error is acceptable, raise the limit'
             )
         far = reading.displacement > self.layout.cell  # from inside, to beyond an edge
         if far and (passed := walls.crossed(self.scene, self.layout, np.asarray(self.state.displacement))):

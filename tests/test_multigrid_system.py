@@ -5,7 +5,7 @@ import pytest
 from static_scenes import bar, plate
 from test_condensed import model_of
 
-from jaxmpm import elastic_grid, full_system, multigrid_system
+from jaxmpm import elastic_grid, multigrid_system, zoned_factors
 from jaxmpm.condensed import Condensed
 from jaxmpm.equilibria import Equilibria
 from jaxmpm.errors import SceneError
@@ -37,7 +37,7 @@ def both(monkeypatch):
     monkeypatch.setattr(elastic_grid, "MANY", 0)
     monkeypatch.setattr(elastic_grid, "LARGE", 0)
     monkeypatch.setattr(multigrid_system, "FORCING", (1e-10, 1e-10))
-    monkeypatch.setattr(full_system, "FORCING", 1e-12)
+    monkeypatch.setattr(zoned_factors, "FORCING", 1e-12)
     free = MatrixFree(Structure.of(model), cells[:2], gauge)
     free.add(cells[2:])
     return model, full, free
