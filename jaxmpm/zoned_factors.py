@@ -33,12 +33,14 @@ class ZonedFactors:
         self.since = np.full(len(structure.elastic), LATELY + 1)  # tangents since a cell's changed
         self.near = np.zeros(len(structure.elastic), bool)  # cells in the zone
         self.part = self.factors = self.factored = None  # factors of the zone, and of which matrix
-        self.rows = None  # of the strain operator, of the cracked cells by the unknowns
+        self.cells, self.rows = None, None  # the cracked ones, and theirs of the strain operator by the unknowns
+        self.eliminated = np.zeros(0, int)  # cracked cells outside the zone as it was chosen
         self.taken, self.lively = 0, 0  # tangents since the zone was chosen, and cells about which it was
 
     def take(self, cells, tangent, hourglass):
         """The tangents (k, 3, 3), MPa, and hourglass stiffness (k,), N/mm, of the cracked cells (flat indices)."""
-        if self.rows is None or self.rows.shape[0] != MODES * len(cells):
+        if not np.array_equal(cells, self.cells):
+            self.cells = cells
             self.rows = (self.structure.rows(cells) @ self.structure.moves).tocsr()
         self.asked = cells, tangent, hourglass
         self.blocks = self._blocks(slice(None))
@@ -46,7 +48,8 @@ class ZonedFactors:
         self.before[cells] = tangent
         live = self._live()
         outside = (self._differs(self.tangent) | (hourglass != self.hourglass[cells])) & ~self.near[cells]
-        if self.part is None or outside.sum() > FEW or self._shrinks(live.sum()):
+        whole_again = np.setdiff1d(self.eliminated, cells)
+        if self.part is None or outside.sum() > FEW or len(whole_again) or self._shrinks(live.sum()):
             self._eliminate(live)
             outside[:] = False
         self.alike = not outside.any()  # outside the zone
@@ -112,6 +115,7 @@ class ZonedFactors:
         self.near = live > 0
         self.tangent, self.hourglass = structure.elastic.copy(), structure.hourglass.copy()
         far = ~self.near[cells]
+        self.eliminated = cells[far]
         self.tangent[cells[far]], self.hourglass[cells[far]] = tangent[far], hourglass[far]
         stays = np.asarray(abs(structure.rows(np.flatnonzero(self.near)) @ structure.moves).sum(0)).reshape(-1) > 0
         rows, blocks = self.rows[np.repeat(far, MODES)], self._blocks(far)
