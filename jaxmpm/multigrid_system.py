@@ -13,10 +13,10 @@ There is no inertia here to tell whether the structure is stable: see `stable` a
 import jax.numpy as jnp
 import numpy as np
 
+from jaxmpm.all_nodes import AllNodes
 from jaxmpm.condensed import GRIP
 from jaxmpm.errors import RunError
 from jaxmpm.krylov import arnoldi, bordered, combined, gmres, image, no_border
-from jaxmpm.stiffness import MEAN, Structure
 
 FORCING = (1e-3, 1e-5)  # of a right side that its solution may miss, at most and at least
 SHARE = 0.5  # of the square by which the residual fell in the last step, that the next solution may miss
@@ -29,78 +29,24 @@ SEEN = 0.1  # of the share that one mode has in noise: with so much of it left, 
 PRECISION, ADJOINT = 1e-10, 1e-6  # of the way back: what is aimed at, and what is enough
 
 
-class MatrixFree:
-    """The equations of all unknowns of the structure (m,); residuals are forces, N."""
+class MatrixFree(AllNodes):
+    """The equations of all nodes, solved without factors."""
 
-    def __init__(self, structure: Structure, cells=(), gauge=None):
-        """Cracked cells are flat indices, a gauge a vector of weights (dofs,) of the displacement."""
-        self.structure, self.cells = structure, np.zeros(0, int)
+    def __init__(self, structure, cells=(), gauge=None):
+        """Arguments as those of `AllNodes`."""
         self.asked = None  # tangents at the last step, if the loads stayed as they were
-        self.gauge = gauge if gauge is not None else np.zeros(structure.strain.shape[1])
         self.grid = structure.grid
         self.levels = None  # of a preconditioner
         self.before = None  # size of the residual at the last step
         self.counts = {"solves": 0, "steps": 0, "preconditioners": 0, "looks": 0}
-        self.add(cells)
+        super().__init__(structure, cells, gauge)
 
     def add(self, cells):
         """Take more cells (flat indices) among the cracked ones."""
-        self.cells = np.concatenate([self.cells, np.asarray(cells, int)])
-        structure, nodes = self.structure, self.grid.nodes
-        shape = tuple(n - 1 for n in nodes)
-        self.all_rows = structure.rows(self.cells)
-        self.rows = structure.rows(self.cells, MEAN)
-        self.by_unknowns = (self.rows @ structure.moves).tocsr()
-        self.across = self.by_unknowns.T.tocsr()
-        self.by_prescribed = self.rows @ structure.prescribed
-        self.hourglass = structure.hourglass / self.grid.thickness
+        super().add(cells)
+        self.hourglass = self.structure.hourglass / self.grid.thickness
         self.hourglass[self.cells] *= GRIP
-        self.hourglass = self.hourglass.reshape(shape)
-
-    def keep(self, count):
-        """Forget all but the first cells: those that cracked last are whole again."""
-        if count < len(self.cells):
-            self.cells = self.cells[:count]
-            self.add(())
-
-    # -- equations -------------------------------------------------------------------------------
-
-    def unknowns(self, displacement, amplitude):
-        """Unknowns (m,) of a displacement (dofs,)."""
-        return self.structure.moves.T @ (displacement - self.structure.prescribed @ amplitude)
-
-    def _whole(self, unknowns, amplitude):
-        return self.structure.moves @ unknowns + self.structure.prescribed @ amplitude
-
-    def displacement(self, unknowns, stress, amplitude):
-        """Displacement (dofs,) of the whole structure."""
-        return self._whole(unknowns, amplitude)
-
-    def strain(self, unknowns, amplitude):
-        """Mean strain (3k,) of the cracked cells."""
-        return self.by_unknowns @ unknowns + self.by_prescribed @ amplitude
-
-    def slopes(self, by_strain, direction):
-        """Slopes by the unknowns and along a direction of the loads, from those by strain (3k,)."""
-        return self.across @ by_strain, by_strain @ (self.by_prescribed @ direction)
-
-    def residual(self, unknowns, stress, amplitude):
-        """Force (m,) that is out of balance, N, for bands' stress (3k,), MPa."""
-        structure = self.structure
-        internal = structure.force_of(self._whole(unknowns, amplitude), self.cells, stress, GRIP, self.all_rows)
-        return structure.moves.T @ (internal - structure.force @ amplitude)
-
-    def size(self, residual, strength, stiffness):
-        """Largest residual as a share of the force that a cell bears at onset."""
-        return np.abs(residual).max(initial=0.0) / (strength * self.structure.edge)
-
-    def reading(self, unknowns, stress, amplitude):
-        """The gauge's reading, mm."""
-        return self.gauge @ self._whole(unknowns, amplitude)
-
-    def reading_slopes(self, tangent, direction):
-        """How the reading changes with the unknowns (m,) and along a direction of the loads."""
-        return self.structure.moves.T @ self.gauge, self.gauge @ (self.structure.prescribed @ direction)
+        self.hourglass = self.hourglass.reshape([n - 1 for n in self.grid.nodes])
 
     # -- Newton's steps --------------------------------------------------------------------------
 
@@ -123,9 +69,7 @@ class MatrixFree:
 
     def _border(self, tangent, direction, slopes):
         """Column, row and own of the equation of what is controlled, both fields by nodes."""
-        structure = self.structure
-        column = self._force(tangent, structure.prescribed @ direction) - structure.force @ direction
-        return self._field(structure.moves.T @ column), self._field(slopes[0]), slopes[1]
+        return self._field(self.driven(tangent, direction)), self._field(slopes[0]), slopes[1]
 
     def _field(self, unknowns):
         return (self.structure.moves @ unknowns).reshape(2, *self.grid.nodes)
@@ -163,11 +107,17 @@ class MatrixFree:
         return found
 
     def adjoint(self, tangent, right):
-        """λ with Kᵀ λ = right, both of the unknowns (m,); arguments as in `Condensed.adjoint`; raises RunError without a solution."""
-        found = self._solved(tangent.swapaxes(1, 2), right, None, 0.0, PRECISION)
-        if not found.residual <= ADJOINT:
-            raise RunError(f"a system of the way back kept a residual of {found.residual:.1e}: its equilibrium is at a limit of the loads")
-        return self.structure.moves.T @ self.grid.field(found.x)[0].reshape(-1)
+        """λ with Kᵀ λ = right, both of the unknowns, (m,) or (m, many); arguments as in `Condensed.adjoint`.
+
+        Raises RunError without a solution.
+        """
+        solutions = []
+        for column in right.reshape(len(right), -1).T:
+            found = self._solved(tangent.swapaxes(1, 2), column, None, 0.0, PRECISION)
+            if not found.residual <= ADJOINT:
+                raise RunError(f"a system of the way back kept a residual of {found.residual:.1e}: its equilibrium is at a limit of the loads")
+            solutions.append(self.structure.moves.T @ self.grid.field(found.x)[0].reshape(-1))
+        return np.stack(solutions, axis=1).reshape(right.shape)
 
     @property
     def stable(self):
@@ -196,11 +146,6 @@ class MatrixFree:
         energy = float(jnp.vdot(found, image(operator, plain, found)))
         mode = structure.moves.T @ self.grid.field(found)[0].reshape(-1)
         return mode / np.abs(self.by_unknowns @ mode).max(), energy > 0
-
-    def _force(self, tangent, displacement):
-        """Nodal forces (dofs,) of the tangent stiffness."""
-        stress = np.einsum("kij,kj->ki", tangent, (self.rows @ displacement).reshape(-1, MEAN)).reshape(-1)
-        return self.structure.force_of(displacement, self.cells, stress, GRIP, self.all_rows)
 
 
 def positive(tangent, elastic):
