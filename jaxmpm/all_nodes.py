@@ -1,5 +1,7 @@
 """The equations of all nodes: what is the same however they are solved, by factors (`full_system.py`) or without (`multigrid_system.py`)."""
 
+from functools import cached_property
+
 import numpy as np
 
 from jaxmpm.condensed import GRIP
@@ -32,10 +34,14 @@ class AllNodes:
 
     def unknowns(self, displacement, amplitude):
         """Unknowns (m,) of a displacement (dofs,)."""
-        moves = self.structure.moves
-        own = moves.T @ (displacement - self.structure.prescribed @ amplitude)
-        tied = np.asarray(moves.multiply(moves).sum(0)).max(initial=1.0) > 1
-        return Factors(moves.T @ moves, self.structure.order).solve(own) if tied else own
+        own = self.structure.moves.T @ (displacement - self.structure.prescribed @ amplitude)
+        return own if self._ties is None else self._ties.solve(own)
+
+    @cached_property
+    def _ties(self):
+        """Factors of TᵀT where an unknown moves more than one dof, else None."""
+        square = self.structure.moves.T @ self.structure.moves
+        return Factors(square, self.structure.order) if square.diagonal().max(initial=1.0) > 1 else None
 
     def displacement(self, unknowns, stress, amplitude):
         """Displacement (dofs,) of the whole structure."""

@@ -48,12 +48,11 @@ class Krylov(NamedTuple):
 
 
 class Solved(NamedTuple):
-    """A solution, how many steps it took, its true residual over the right side, and the last Hessenberg matrix (m, m)."""
+    """A solution, how many steps it took, and its true residual over the right side."""
 
     x: jax.Array
     steps: int
     residual: float
-    hessenberg: np.ndarray
 
 
 def no_border(shape, dtype=float) -> Border:
@@ -166,9 +165,8 @@ def gmres(levels, operator, border, right, tolerance, most=RESTART, start=None) 
     """
     apply = program(image, operator, border, right)
     size, x, rest, steps, left = float(jnp.linalg.norm(right)), jnp.zeros_like(right), right, 0, 1.0
-    space = Krylov([], np.zeros((1, 0)), 1.0)
     if not size > 0:
-        return Solved(x, 0, 0.0, np.zeros((0, 0)))
+        return Solved(x, 0, 0.0)
     if start is not None:
         after = right - apply(operator, border, start)
         now = float(jnp.linalg.norm(after)) / size
@@ -179,7 +177,7 @@ def gmres(levels, operator, border, right, tolerance, most=RESTART, start=None) 
         first = np.zeros(len(space.hessenberg))
         first[0] = left * size
         if not np.isfinite(space.hessenberg).all():
-            return Solved(jnp.full_like(x, jnp.nan), steps, np.inf, np.zeros((0, 0)))
+            return Solved(jnp.full_like(x, jnp.nan), steps, np.inf)
         better = x + combined(space, np.linalg.lstsq(space.hessenberg, first)[0])
         steps += len(space.ahead)
         after = right - apply(operator, border, better)
@@ -189,4 +187,4 @@ def gmres(levels, operator, border, right, tolerance, most=RESTART, start=None) 
         x, rest, stalled, left = better, after, now > 0.5 * left, now
         if stalled:
             break
-    return Solved(x, steps, left, space.hessenberg[:-1])
+    return Solved(x, steps, left)

@@ -119,11 +119,6 @@ class Structure:
         lacks[:, MEAN:] = (1 - keep) * self.hourglass[cells][:, None] * own[:, MEAN:]
         return self.stiffness @ displacement - rows.T @ lacks.reshape(-1)
 
-    def without(self, cells, keep):
-        """K (dofs, dofs) without the mean stress of some cells, and of their hourglass the share `keep` left."""
-        rows = self.rows(cells)
-        return self.stiffness - rows.T @ (weights_of(self.volume * self.elastic[cells], (1 - keep) * self.hourglass[cells]) @ rows)
-
 
 def weights_of(mean, hourglass):
     """W C (5k, 5k) of k cells from their mean stiffness (k, 3, 3) and hourglass stiffness (k,)."""

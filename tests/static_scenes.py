@@ -1,6 +1,7 @@
 """Small scenes in equilibrium: bars that break at one column of cells, a notched plate."""
 
 from jaxmpm.scene import load_scene
+from jaxmpm.stiffness import weights_of
 
 STATIC = ['solver.kind="quasistatic"', "solver.damping=0.02"]
 
@@ -18,3 +19,10 @@ def plate(*more):
                (("min", xs[0], 90), ("max", xs[1], 100))]  # fmt: skip
     return load_scene("den", [*STATIC, "grid.cell=10", "sets.right_lower.inside.0.max=[200.0, 90.0]",
                               "gauges.left_notch.points=[[0.0, 90.0], [0.0, 100.0]]", *notches, *more])  # fmt: skip
+
+
+def without(structure, cells, keep):
+    """K (dofs, dofs) of a structure without the mean stress of some cells, and of their hourglass the share `keep` left."""
+    rows = structure.rows(cells)
+    lost = weights_of(structure.volume * structure.elastic[cells], (1 - keep) * structure.hourglass[cells])
+    return structure.stiffness - rows.T @ (lost @ rows)

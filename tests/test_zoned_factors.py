@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from static_scenes import plate
+from static_scenes import plate, without
 from test_condensed import model_of
 
 from jaxmpm.condensed import GRIP
@@ -20,7 +20,7 @@ def made():
 
 def dense(structure, cells, tangent):
     rows = structure.rows(cells, 3)
-    whole = structure.without(cells, GRIP) + structure.volume * (rows.T @ block_diagonal(tangent) @ rows)
+    whole = without(structure, cells, GRIP) + structure.volume * (rows.T @ block_diagonal(tangent) @ rows)
     return (structure.moves.T @ whole @ structure.moves).toarray()
 
 
