@@ -164,6 +164,8 @@ class Run(OfMaterials):
                 f"solver.damping = {solver.damping:g}: expected 0 for a run that is differentiated (it leaps where "
                 "velocities change sign); use solver.viscosity, 0.1 for instance"
             )
+        if solver.elastic_rise != "motion":
+            raise SceneError('solver.elastic_rise = "equilibrium": expected "motion" for a run that is differentiated')
         if solver.frame == "updated":
             raise SceneError('solver.frame = "updated": expected "total" or "auto" for a run that is differentiated')
         sim = Simulation.of(scene)

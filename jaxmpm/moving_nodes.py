@@ -26,7 +26,7 @@ from jaxmpm.errors import SceneError
 from jaxmpm.laws.finite import rotation, strain_in
 from jaxmpm.points import PER_POINT, bins_of
 from jaxmpm.shape_functions import Gimp
-from jaxmpm.stiffness import LOOSE
+from jaxmpm.stiffness import LOOSE, STATIC
 from jaxmpm.tensor import Matrix
 
 GHOST = 0.1  # γ
@@ -189,7 +189,7 @@ class Nodes:
         for k in range(1, count + 1):
             rows = np.moveaxis(modes, 1, -1)[known & (label == k)]
             if np.linalg.matrix_rank(rows) < 3:
-                raise SceneError(LOOSE)
+                raise SceneError(STATIC + LOOSE)
 
 
 def shifted(n, hold, field, amplitude):

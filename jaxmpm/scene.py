@@ -261,6 +261,11 @@ class Solver(Table):
     time_step_factor: Annotated[Number, Field(gt=0.0, lt=1.0)] = Field(
         0.9, description="time step over the largest stable one, dimensionless"
     )
+    elastic_rise: Literal["motion", "equilibrium"] = Field(
+        "motion",
+        description="how all that happens before the first crack is passed: motion: step by step; equilibrium: at once, by one "
+        "elastic solution, where loads are slow",
+    )
     damping: Annotated[Number, Field(ge=0.0, lt=1.0)] = Field(
         0.02, description="local damping coefficient, dimensionless"
     )

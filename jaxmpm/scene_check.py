@@ -11,6 +11,7 @@ from jaxmpm.scene_check_macro import check_macro
 from jaxmpm.scene_check_mesostructure import check_mesostructure
 from jaxmpm.scene_check_moving import check_moving
 from jaxmpm.scene_check_quasistatic import check_quasistatic
+from jaxmpm.scene_check_rise import check_rise
 from jaxmpm.scene_tables import entries
 
 # ---- types and ranges: from the validator's findings and the scene's own JSON schema
@@ -194,6 +195,7 @@ def check(tree: dict[str, Any], problems: Problems) -> None:
     check_macro(tree, problems)
     check_mesostructure(tree, problems)
     check_quasistatic(tree, problems)
+    check_rise(tree, problems)
 
 
 def _names(tree: dict, key: str) -> list[str] | None:

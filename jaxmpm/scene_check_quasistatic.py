@@ -8,6 +8,7 @@ from jaxmpm.scene_tables import table_of
 OF_MOTION = {
     "damping": "nothing moves", "viscosity": "nothing moves", "time_step_factor": "there are no time steps",
     "hand_over_gradient": "it stays in its frame", "hand_over_displacement": "it stays in its frame",
+    "elastic_rise": "all of it is equilibrium",
 }  # fmt: skip
 OF_VELOCITY = ("transfer", "flip", "xpic_order", "fmpm_order", "order")
 OF_EQUILIBRIUM = ("control", "tolerance", "first_increment", "smallest_increment", "largest_increment")

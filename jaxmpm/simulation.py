@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxmpm import compilation, explicit, model as models, observe, walls
+from jaxmpm.elastic_rise import ElasticRise
 from jaxmpm.errors import RunError, SceneError, written
 from jaxmpm.layout import lay_out
 from jaxmpm.scene import Scene
@@ -38,6 +39,7 @@ class Simulation:
     steps: int  # in the whole run
     compile_seconds: float = 0.0
     run_seconds: float = 0.0
+    rise: ElasticRise | None = None  # to be passed in equilibrium
     _compiled: dict = field(default_factory=dict)
 
     @classmethod
@@ -57,7 +59,18 @@ class Simulation:
         steps = int(steps)
         state = models.first_state(model, layout.velocity)
         dt = duration / steps
-        return cls(scene, layout, model, state, dt, stable, steps + 1)
+        sim = cls(scene, layout, model, state, dt, stable, steps + 1)
+        if scene.solver.elastic_rise == "equilibrium":
+            sim.rise = sim._rise()
+        return sim
+
+    def _rise(self) -> ElasticRise:
+        began = clock.perf_counter()
+        samples = self.scene.output.samples
+        marks = [self.step_at(sample, samples) for sample in range(samples + 1)]
+        rise = ElasticRise.of(self.model, self.state, self.dt, marks)
+        self.run_seconds += clock.perf_counter() - began
+        return rise
 
     def compiled(self, function):
         """`function(model, state, dt, …)` compiled for the present capacity, timed once."""
@@ -79,6 +92,10 @@ class Simulation:
 
     def advance(self, until: int) -> None:
         """Advance to step `until`; raises RunError where a band cannot be solved."""
+        if self.rise is not None and int(self.state.step) < self.rise.last:
+            began = clock.perf_counter()
+            self.state = self.rise.state(self.state, min(until, self.rise.last))
+            self.run_seconds += clock.perf_counter() - began
         while int(self.state.step) < until:
             if bool(explicit.needs_room(self.state)):
                 self.state = models.with_room(self.model, self.state)

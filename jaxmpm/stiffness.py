@@ -21,8 +21,9 @@ from jaxmpm.model import fields
 
 MEAN, MODES = 3, 5  # mean strain components of a cell, and those with its hourglass amplitudes
 SINGULAR = 1e-13  # least pivot over the largest of a structure that holds
+STATIC = 'solver.kind = "quasistatic"'
 LOOSE = (
-    'solver.kind = "quasistatic": expected supports that hold every body, but one can move without strain: '
+    ": expected supports that hold every body, but one can move without strain: "
     "add supports, or displacements with an angle as direction, until it cannot slide or turn"
 )
 
@@ -66,8 +67,11 @@ class Structure:
     grid: OnGrid | None  # for multigrid, if it is for this structure
 
     @classmethod
-    def of(cls, model):
-        """Assemble, and factorise what is not too large; raises SceneError where the supports leave a body free to move."""
+    def of(cls, model, asked=STATIC):
+        """Assemble, and factorise what is not too large; raises SceneError where the supports leave a body free to move.
+
+        `asked`: what asks for it, for that message.
+        """
         n, prepared = model.numerics, fields(model)
         shape = model.material.shape
         strain = strain_operator(shape, n.cell)
@@ -82,10 +86,10 @@ class Structure:
         prescribed, force = _loads(model, np.asarray(prepared.mass))
         grid = OnGrid(_by_nodes(model, moves), n.cell, n.thickness) if elastic_grid.suits(shape, moves) else None
         if grid is not None and moves.shape[1] >= elastic_grid.LARGE:
-            order, factors = np.zeros(0, int), _on_grid_or_says_why(model, elastic, hourglass, moves)
+            order, factors = np.zeros(0, int), _on_grid_or_says_why(model, elastic, hourglass, moves, asked)
         else:
             order = dissection(shape, moves)
-            factors = _factorised_or_says_why((moves.T @ stiffness @ moves).tocsc(), order)
+            factors = _factorised_or_says_why((moves.T @ stiffness @ moves).tocsc(), order, asked)
         unknowns = factors.solve(moves.T @ (force - stiffness @ prescribed))
         response = moves @ unknowns + prescribed
         edge = n.cell * n.thickness
@@ -190,7 +194,7 @@ def held_at(model, amplitude):
     return replace(model, displacements=tuple(held[:first]), forces=tuple(held[first:second]), macro=macro)
 
 
-def _factorised_or_says_why(reduced, order):
+def _factorised_or_says_why(reduced, order, asked):
     """Factors of K; SceneError where it is singular."""
     try:
         factors = Factors(reduced, order)
@@ -198,7 +202,7 @@ def _factorised_or_says_why(reduced, order):
     except RuntimeError:
         pivots = np.zeros(1)
     if not pivots.min() > SINGULAR * pivots.max():
-        raise SceneError(LOOSE)
+        raise SceneError(asked + LOOSE)
     return factors
 
 
@@ -207,10 +211,10 @@ def _by_nodes(model, moves):
     return np.asarray(moves.sum(1)).reshape(model.free.shape)
 
 
-def _on_grid_or_says_why(model, elastic, hourglass, moves):
+def _on_grid_or_says_why(model, elastic, hourglass, moves, asked):
     """K by multigrid; SceneError where it is singular."""
     n, shape, free = model.numerics, model.material.shape, _by_nodes(model, moves)
     if not elastic_grid.is_held(np.asarray(model.material) >= 0, free):
-        raise SceneError(LOOSE)
+        raise SceneError(asked + LOOSE)
     tangent = np.moveaxis(elastic, 0, -1).reshape(MEAN, MEAN, *shape)
     return Answers(Multigrid(tangent, hourglass.reshape(shape) / n.thickness, free, n.cell, n.thickness), moves)

@@ -26,9 +26,12 @@ def summarise(recorder, status: str) -> dict:
         out["phases"] = sim.layout.shares()
     if moves:
         out |= {"points": sim.count(), "points_left": sim.left, "hand_over_time": recorder.handed_over}
-        out |= {"messages": recorder.messages}
     if recorder.static:
-        out |= {"quasistatic": sim.report(), "messages": recorder.messages}
+        out |= {"quasistatic": sim.report()}
+    if recorder.rise is not None:
+        out |= {"elastic_rise_steps": recorder.rise.last}
+    if moves or recorder.static or recorder.rise is not None:
+        out |= {"messages": recorder.messages}
     if scene.response and recorder.rows:
         out |= _of_response(recorder)
     if scene.macro and recorder.rows:

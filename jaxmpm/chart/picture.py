@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 
 # Okabe and Ito's colours, told apart by all; a marker of its own for each besides.
 FAMILIES = {
-    "cells alone": (INK, "o"), "loading rate": ("#E69F00", "^"), "precision": ("#56B4E9", "s"), "time step": ("#999999", "v"),
+    "cells alone": (INK, "o"), "loading rate": ("#E69F00", "^"), "precision": ("#56B4E9", "s"), "steps of time": ("#999999", "v"),
     "equilibrium": ("#009E73", "D"), "points that move": ("#D55E00", "P"), "what is modelled": ("#CC79A7", "X"),
     "several at once": ("#0072B2", "*"),
 }  # fmt: skip
 BY_AXIS = {
-    "speed": "loading rate", "precision": "precision", "step": "time step", "solver": "equilibrium", "frame": "points that move",
+    "speed": "loading rate", "precision": "precision", "step": "steps of time", "rise": "steps of time", "solver": "equilibrium", "frame": "points that move",
     "shape": "points that move", "per_side": "points that move", "transfer": "points that move", **dict.fromkeys(MODEL, "what is modelled"),
 }  # fmt: skip
 LEAST = 1e-5  # relative: the reference itself, and what is as near to it, lies on the lower edge of the chart

@@ -238,6 +238,10 @@ AXES = {
         lambda tree, value: tree["solver"].update(time_step_factor=value),
         lambda value: f"{value:.3g} of the stable step",
     ),
+    "rise": _key(
+        "solver", "elastic_rise", "elastic rise", ("motion", "equilibrium"), lambda value: f"elastic rise in {value}",
+        only=lambda scene: scene.solver.kind == "explicit" and _cracks(scene),
+    ),
     "precision": _key("solver", "precision", "precision", ("float32", "float64"), str),
     "frame": Axis(
         "frame",
