@@ -1,8 +1,10 @@
-"""The pages of the site, as they are made without the program that turns them into HTML."""
+"""The site: what its pages are made of, and that it can be built."""
 
 import importlib.util
 import re
 import shlex
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -65,3 +67,12 @@ def test_the_first_scene_can_be_followed(tmp_path, monkeypatch, capsys):
     capsys.readouterr()
     assert main(["run", "my.toml", "--set", "grid.cel=2.5"]) == 2
     assert capsys.readouterr().err in FIRST
+
+
+def test_the_site_is_built_and_no_link_in_it_is_broken(tmp_path):
+    command = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "-f", str(SITE / "mkdocs.yml"), "-d", str(tmp_path)]
+    built = subprocess.run(command, capture_output=True, text=True)
+    assert built.returncode == 0, built.stderr
+    reference = (tmp_path / "api" / "index.html").read_text()
+    assert all(f'id="{module}.{name}"' in reference for name, module in jaxmpm._PUBLIC.items())
+    assert all((tmp_path / "pictures" / name).stat().st_size for name in ("den.png", "stability.png"))
