@@ -12,7 +12,7 @@ What a gradient means where cells crack: the moment of a step in which a cell cr
 the parameters, and derivatives know it. They are those of one order of events. Where a change of
 parameters lets another cell crack first the response bends, and no derivative says so; what vibrates
 makes that worse, so judge a response over a span of time rather than at an instant (`smooth_peak`,
-work). Local damping (`solver.damping`) leaps wherever a velocity changes sign, and derivatives grow
+`about_displacement`, work). Local damping (`solver.damping`) leaps wherever a velocity changes sign, and derivatives grow
 without bound in it: it is refused. Viscosity does the same service smoothly.
 """
 
@@ -216,3 +216,17 @@ def smooth_peak(load, width):
 def at_displacement(load, displacement, where):
     """The load at a displacement (linear between samples), at which a growing displacement arrives first."""
     return jnp.interp(where, displacement, load)
+
+
+def about_displacement(load, displacement, where, width):
+    """The load about a displacement: a mean over the samples, whose weight falls to nothing `width` to either side.
+
+    Vibrations pass within a few samples, and with them what a derivative at one instant says of them alone. A curve that is
+    straight there keeps its value if the displacement grows evenly.
+
+    Args:
+        load, displacement: (samples,), the displacement growing.
+        where, width: in its units; no further from its ends than `width`.
+    """
+    weight = jnp.maximum(1 - jnp.abs(displacement - where) / width, 0.0)
+    return weight @ load / weight.sum()

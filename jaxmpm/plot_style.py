@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import textwrap
 from collections.abc import Iterator
 from pathlib import Path
@@ -91,6 +92,7 @@ def title(axes: Axes, summary: dict[str, Any], notes: list[str]) -> list[Artist]
         (", ".join(notes), 9, {"color": "#555555"}),
         (text, 10.5, {"fontweight": "bold"}),
     ):
+        line = re.sub(r"(?<=\d) (?=[a-zA-Z%])", "\N{NO-BREAK SPACE}", line)  # a number stays with its unit
         lines = textwrap.wrap(line, max(30, int(114 * inches / size)))[:4]
         if lines:
             added.append(

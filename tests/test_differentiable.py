@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxmpm.differentiable import NO_ROOM, Run, at_displacement, check, smooth_peak
+from jaxmpm.differentiable import NO_ROOM, Run, about_displacement, at_displacement, check, smooth_peak
 from jaxmpm.errors import RunError, SceneError
 from jaxmpm.scene import Scene
 
@@ -136,3 +136,11 @@ def test_what_has_no_derivative_is_refused():
 
 def test_smooth_peak_is_the_peak_of_a_flat_curve():
     assert smooth_peak(jnp.full(5, 3.0), 0.1) == pytest.approx(3.0)
+
+
+def test_the_load_about_a_displacement_keeps_a_straight_line_and_loses_vibration():
+    displacement = jnp.linspace(0.0, 0.06, 241)  # even: the middle of the triangle is a sample
+    straight = 20.0 - 100.0 * displacement
+    vibrates = straight + jnp.cos(2 * jnp.pi * displacement / 0.002)
+    found = [about_displacement(load, displacement, 0.03, 0.004) for load in (straight, vibrates)]
+    np.testing.assert_allclose(found, 17.0, rtol=1e-12)
