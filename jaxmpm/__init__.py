@@ -20,7 +20,8 @@ _PUBLIC = {
     "load_scene": "jaxmpm.scene", "scene_names": "jaxmpm.scene", "Scene": "jaxmpm.scene",
     "run_scene": "jaxmpm.run", "load_result": "jaxmpm.run_result", "Result": "jaxmpm.run_result",
     "run_ensemble": "jaxmpm.ensemble", "keep_compiled": "jaxmpm.compilation",
-    "Run": "jaxmpm.differentiable", "simulate": "jaxmpm.differentiable", "smooth_peak": "jaxmpm.differentiable",
+    "Run": "jaxmpm.differentiable", "simulate": "jaxmpm.differentiable",
+    "about_displacement": "jaxmpm.differentiable", "smooth_peak": "jaxmpm.differentiable",
     "SceneError": "jaxmpm.errors", "RunError": "jaxmpm.errors", "ResultError": "jaxmpm.errors",
 }  # fmt: skip
 __all__ = [*_PUBLIC]
