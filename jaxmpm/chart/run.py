@@ -1,6 +1,7 @@
 """Makes a chart: measures settings while the budget lasts, judges them, writes what is known after each."""
 
 import json
+import math
 import sys
 from pathlib import Path
 from time import perf_counter
@@ -79,7 +80,7 @@ class Chart:
         self.stopwatch.go_on(self.records)
         self.provenance = provenance()
         directory.mkdir(parents=True, exist_ok=True)
-        self.say(f"{self.scene.name}: cells of {', '.join(f'{size:.4g}' for size in sizes)} mm, {seconds(budget)} in all")
+        self.say(f"{self.scene.name}: cells of {', '.join(f'{size:.4g}' for size in sizes)} mm" + (f", {seconds(budget)} in all" if budget < math.inf else ""))
 
     def measure(self) -> None:
         """All that is worth a run and fits into the budget."""
@@ -158,5 +159,6 @@ class Chart:
             self.say(f"  {record['label']}: {record['status']}")
             return
         wanted = "" if foreseen is None else f" ({seconds(foreseen)} foreseen)"
+        left = f", {max(self.left(), 0):.0f} s left" if self.budget < math.inf else ""
         errors = [f"{name} {record['errors'][name]:+.2%}" for name in self.reference.names]
-        self.say(f"  {record['label']}: {seconds(record['seconds'])}{wanted}, {', '.join(errors)}, {max(self.left(), 0):.0f} s left")
+        self.say(f"  {record['label']}: {seconds(record['seconds'])}{wanted}, {', '.join(errors)}{left}")

@@ -8,7 +8,7 @@ import pytest
 from chart_scene import Machine, seconds_by_work, write_scene
 
 from jaxmpm import cli
-from jaxmpm.chart import draw_chart, read_chart, table
+from jaxmpm.chart import classes, draw_chart, read_chart, table
 from jaxmpm.chart import run as charts
 from jaxmpm.chart.front import front, judged, percent
 from jaxmpm.chart.settings import Source
@@ -54,6 +54,18 @@ def test_choices_that_pay_are_put_together_and_those_that_do_not_are_dropped(mac
     slow = [key for key in keys if "frame" in key]
     assert len(slow) == 1  # ten times as long and no better: tried once, on the coarsest cells
     assert sum("law=" in key for key in keys) == 2 and not any(record["front"] for record in found["runs"] if "law" in record["setting"])
+
+
+def test_what_tolerances_build_on_is_run_where_a_chart_left_it_out(machine, tmp_path):
+    chart(machine, tmp_path / "den", 200.0)
+    counts = [len(read_chart(tmp_path / "den")["runs"])]
+    for _ in range(2):
+        classes.main([str(tmp_path / "den"), "--out", str(tmp_path / "measured.json")])
+        (known,) = json.loads((tmp_path / "measured.json").read_text())["charts"]
+        single = {(run["setting"].get("speed", 1.0), run["setting"]["cell"] / 2.5) for run in known["runs"] if "precision" in run["setting"]}
+        assert single >= set(classes.NEEDED)
+        counts.append(len(read_chart(tmp_path / "den")["runs"]))
+    assert counts[0] < counts[1] == counts[2]  # nothing is left for the second time
 
 
 def test_only_the_choices_that_are_named_are_tried(machine, tmp_path):
