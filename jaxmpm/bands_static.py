@@ -107,8 +107,8 @@ def fresh(model, prepared, state, strain, cells):
     n = model.numerics
     elastic = explicit.intact_stress(prepared, state, strain, n.size)
     borne = explicit.with_bands(elastic, state.place, state.pool.stress).mean
-    normal = tensor.first_principal_direction(explicit.averaged(borne, cells, n.normal_window))
-    size = bands.effective_size(n.effective_size, normal, n.cell)
+    normal = tensor.first_principal_direction(explicit.averaged(borne, cells, n.normal_window, half=n.half))
+    size = explicit.effective_size(n, normal, cells, state.intact.shape[1])
     laws = bands.at(model.embedding, model.material.reshape(-1)[cells])
     vectors = cell_strain_vectors(strain.mean, cells, n.size)
     return band_law.open_band(laws, vectors, normal, size), jnp.stack([component.reshape(-1)[cells] for component in borne])

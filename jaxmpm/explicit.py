@@ -204,9 +204,9 @@ def _open(model, prepared, state, pool, grip, elastic, stress, strain, dt, rever
         borne = with_bands(earlier, state.place, state.pool.stress)
         between = lambda a, b: a + share * (b - a)  # noqa: E731
         periodic_cell = model.macro is not None
-        averages = (averaged(s.mean, cells, n.normal_window, periodic_cell) for s in (borne, stress))
+        averages = (averaged(s.mean, cells, n.normal_window, periodic_cell, n.half) for s in (borne, stress))
         normal = tensor.first_principal_direction(between(*averages))
-        size = bands.effective_size(n.effective_size, normal, n.cell)
+        size = effective_size(n, normal, cells, ratio.shape[1])
         laws = bands.at(model.embedding, model.material.reshape(-1)[cells])
         vectors = (cell_strain_vectors(e.mean, cells, n.size) for e in (before, strain))
         records = bands.unsolved(band_law.open_band(laws, between(*vectors), normal, size), n.size)
@@ -258,10 +258,25 @@ def most_critical(ratio, number):
     return cells, jnp.arange(ROOM) < count
 
 
-def averaged(mean, cells, window, wraps=False):
+def effective_size(n, normal, cells, rows):
+    """Effective size H (mm) of the bands of cells, by flat index on a grid of so many `rows`, with normals (2, k).
+
+    A crack along a plane of symmetry is one crack in two cells, that of the half that is modelled and its image: one
+    band in twice the size, not two.
+    """
+    size = bands.effective_size(n.effective_size, normal, n.cell)
+    if n.half is None:
+        return size
+    number = cells // rows if n.half == 0 else cells % rows
+    shared = (number == 0) & (jnp.abs(normal[n.half]) > jnp.abs(normal[1 - n.half]))
+    return jnp.where(shared, 2 * size, size)
+
+
+def averaged(mean, cells, window, wraps=False, half=None):
     """Stress averaged over window × window cells around some, but for a factor, (3, k).
 
-    What lies beyond an edge counts nothing, or, where the grid `wraps`, is what lies at the opposite one.
+    What lies beyond an edge counts nothing, or, where the grid `wraps`, is what lies at the opposite one. Beyond the
+    plane of symmetry of a `half` along an axis lies its image, and cells at the plane are taken with theirs: without shear.
     """
     nx, ny = mean[0].shape
     reach = window // 2
@@ -270,6 +285,13 @@ def averaged(mean, cells, window, wraps=False):
     ii, jj = i[:, None] + di.reshape(-1), j[:, None] + dj.reshape(-1)
     if wraps:
         ii, jj = ii % nx, jj % ny
+    mirrored = None if half is None else (ii, jj)[half] < 0
+    if half is not None:
+        ii, jj = (jnp.where(k < 0, -1 - k, k) if axis == half else k for axis, k in enumerate((ii, jj)))
     inside = (ii >= 0) & (ii < nx) & (jj >= 0) & (jj < ny)
     index = jnp.where(inside, ii * ny + jj, 0)
-    return jnp.stack([jnp.where(inside, c.reshape(-1)[index], 0.0).sum(1) for c in mean[:3]])
+    taken = [jnp.where(inside, c.reshape(-1)[index], 0.0) for c in mean[:3]]
+    if half is not None:
+        turned = jnp.where(mirrored, -taken[2], taken[2])
+        taken[2] = jnp.where((i, j)[half][:, None] == 0, 0.0, turned)
+    return jnp.stack([c.sum(1) for c in taken])

@@ -156,7 +156,7 @@ def numerics(scene, layout, fields=1):
         transfer=moving.Transfer(p.transfer, p.flip, p.xpic_order, p.fmpm_order),
         order=p.order,
         walls=((hard(walls.left), hard(walls.right)), (hard(walls.bottom), hard(walls.top))),
-        cell_volume=layout.cell**2 * scene.grid.thickness,
+        cell_volume=layout.cell**2 * layout.thickness,
         fields=fields,
     )
 
@@ -244,7 +244,7 @@ def to_points(scene, layout, model, state, time, fields=1, body_of=None):
     # A place that shapes cover in a cell that is empty, or another body's, is of the body's own material.
     filled = layout.owner[here] == listed.body
     material = np.where(filled, layout.material[here], np.array(index)[listed.body])
-    volume = layout.cell**2 * scene.grid.thickness * listed.share
+    volume = layout.cell**2 * layout.thickness * listed.share
     mass = volume * np.asarray(model.density, float)[material]
     corner = np.reshape(layout.origin, (2, 1))
     home = corner + layout.cell * (listed.cell + listed.place)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jaxmpm import layout_macro
+from jaxmpm import layout_half, layout_macro
 from jaxmpm.errors import Problems, written
 from jaxmpm.fill import boundary_length, cells_at_nodes, fill
 from jaxmpm.mesostructure import sampling
@@ -62,6 +62,8 @@ class Layout:
     forces: tuple[Drive, ...]
     gauges: tuple[Gauge, ...]
     local: sampling.Local | None  # what else differs from cell to cell
+    thickness: float  # mm, of what is modelled
+    half: layout_half.Half | None = None  # the plane of symmetry, where half of the scene is modelled
 
     def node_coordinates(self) -> np.ndarray:
         """Coordinates of the nodes, (2, nx + 1, ny + 1), mm."""
@@ -85,7 +87,16 @@ def node_lines(origin, shape, cell: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def lay_out(scene: Scene) -> Layout:
-    """The scene on its grid; raises one SceneError that lists every geometric mistake."""
+    """The scene on its grid, or the half of it that `grid.half` asks for.
+
+    Raises one SceneError that lists every geometric mistake, or says what is not symmetric.
+    """
+    layout = _lay_out(scene)
+    return layout_half.halved(scene, layout) if scene.grid.half else layout
+
+
+def _lay_out(scene: Scene) -> Layout:
+    """The whole scene."""
     work = _Work(scene)
     owner = fill(scene, work.problems)
     if scene.macro and (owner < 0).any() and not work.problems.lines:
@@ -116,6 +127,7 @@ def lay_out(scene: Scene) -> Layout:
         forces=forces,
         gauges=gauges,
         local=local,
+        thickness=scene.grid.thickness,
     )
 
 

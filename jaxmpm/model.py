@@ -44,6 +44,7 @@ class Numerics:
     effective_size: str  # rule for H
     normal_window: int  # cells over which the onset stress is averaged
     cracks: bool  # some material has a band; without one nothing of bands is compiled
+    half: int | None = None  # axis along which this is half of a symmetric scene, whose plane is the low edge
 
 
 @jax.tree_util.register_dataclass
@@ -276,11 +277,12 @@ def by_materials(scene, layout):
         },
         numerics=Numerics(
             cell=layout.cell,
-            thickness=scene.grid.thickness,
+            thickness=layout.thickness,
             size=tensor.STRAIN_SIZE[scene.grid.stress_state],
             effective_size=scene.bands.effective_size,
             normal_window=scene.bands.normal_window,
             cracks=any(material.band for material in materials.values()),
+            half=layout.half.axis if layout.half else None,
         ),
     )
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxmpm.layout import Layout, lay_out
+from jaxmpm.layout_half import AXES, symmetries
 from jaxmpm.mesostructure.grading import measured
 from jaxmpm.mesostructure.sampling import structure_of
 from jaxmpm.mesostructure.structure import Structure
@@ -65,6 +66,10 @@ def _about(scene, layout, structure) -> str:
     what = f"cells of {layout.cell:g} mm"
     if scene.mesostructure is not None and scene.mesostructure.sampling == "mixed":
         what += ", mixed (drawn by their band)"
+    if layout.half:
+        what += f", half of the scene ({AXES[layout.half.axis]} > {layout.half.plane:g} mm)"
+    elif symmetries(scene, layout):
+        what += ", half of it will do (grid.half)"
     if structure is None:
         return what
     kind = {"circle": "circles", "ellipse": "ellipses", "polygon": "polygons"}[scene.mesostructure.inclusions.shape.kind]

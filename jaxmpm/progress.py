@@ -34,7 +34,10 @@ class Progress:
             )
             + f"{scene.solver.precision}"
             + (f", resumed at sample {recorder.done + 1}" if recorder.done >= 0 else "")
+            + (f", half of the scene (grid.half = \"{scene.grid.half}\")" if scene.grid.half else "")
         )
+        if recorder.offer and recorder.done < 0:
+            self.screen.line(recorder.offer)
 
     def say(self, text: str) -> None:
         """A line that stays."""

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxmpm import restart, results, walls
+from jaxmpm import layout_half, restart, results, walls
 from jaxmpm.errors import OutOfTime, RunError, SceneError, written
 from jaxmpm.moving_static import MovingStatic
 from jaxmpm.moving_simulation import MOVING_FIELDS, MovingSimulation
@@ -59,6 +59,7 @@ class Recorder:
     def __init__(self, scene, directory, resume, progress, suffix, seconds=None):
         self.scene, self.directory, self.suffix, self.seconds = scene, directory, suffix, seconds
         self.static = scene.solver.kind == "quasistatic"
+        self.kind_of_frame = "total" if scene.grid.half else scene.solver.frame  # a half cannot hand over
         self.sim = self._prepared()
         self.can_crack = any(scene.materials[name].band for name in self.sim.layout.materials)
         self.handed_over = None  # time, s
@@ -66,6 +67,7 @@ class Recorder:
         self.rise = self.sim.rise  # passed in equilibrium, if it is
         if self.rise is not None and self.rise.why:
             self.messages.append(self.rise.why)
+        self.offer = layout_half.offer(scene, self.sim.layout)
         if not self.static and self._begins_as_points():
             self.sim = MovingSimulation.of(self.sim)
         self.columns = [("step", ""), ("time", "s")]
@@ -91,7 +93,7 @@ class Recorder:
 
     def _begins_as_points(self) -> bool:
         """Bodies that meet, part or come to a wall are no matter for the total frame."""
-        frame = self.scene.solver.frame
+        frame = self.kind_of_frame
         if frame == "updated":
             return True
         met = walls.heading(self.scene, self.sim.layout)
@@ -211,7 +213,7 @@ class Recorder:
 
     def _hand_over(self, reading, error) -> bool:
         """Go on with points that move where the motion asks for it; says when and why."""
-        if self.moves or self.scene.solver.frame != "auto" or self.done == self.scene.output.samples:
+        if self.moves or self.kind_of_frame != "auto" or self.done == self.scene.output.samples:
             return False
         reason = self.sim.asks_for_points(reading)
         if not reason:

@@ -57,6 +57,11 @@ class Grid(Table):
     stress_state: Literal["plane_stress", "plane_strain"] = Field(description="the stress state")
     thickness: Positive = Field(description="thickness out of the plane, mm")
     walls: Walls = Field(Walls(), description="what the edges of the grid do to points that move")
+    half: Literal["x", "y"] | None = Field(
+        None,
+        description="model half of a scene that is symmetric about the middle of the grid, that at larger coordinates "
+        "along this axis; answers are those of the whole (total frame)",
+    )
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -12,7 +12,7 @@ from jaxmpm.scene_check_mesostructure import check_mesostructure
 from jaxmpm.scene_check_moving import check_moving
 from jaxmpm.scene_check_quasistatic import check_quasistatic
 from jaxmpm.scene_check_rise import check_rise
-from jaxmpm.scene_tables import entries
+from jaxmpm.scene_tables import entries, table_of
 
 # ---- types and ranges: from the validator's findings and the scene's own JSON schema
 
@@ -297,11 +297,13 @@ def _check_band(tree: dict, name: str, material: dict, problems: Problems) -> No
     largest, formula, change = found
     bands = tree.get("bands")
     limit = largest_cell(largest, bands.get("effective_size") if isinstance(bands, dict) else None)
+    halved = table_of(tree, "grid").get("half") is not None
+    limit /= 1 + halved  # a band on the plane of symmetry has two cells
     if cell > limit:
         limit = math.floor(limit * 1e4) / 1e4
         problems.add(
             ("grid", "cell"),
-            f"at most {limit:g} mm with materials.{name}, whose bands snap back beyond an "
+            f"at most {limit:g} mm with materials.{name}{' and grid.half' * halved}, whose bands snap back beyond an "
             f"effective size H_max = {formula} = {largest:.5g} mm",
             f"use a smaller cell, or a band with {change}",
         )

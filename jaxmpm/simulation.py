@@ -139,7 +139,7 @@ class Simulation:
         return self.compiled(observe.frame)(self.model, self.state, self._dt())
 
     def frame(self) -> tuple[np.ndarray, dict]:
-        """Centres of the filled cells (N, 3), mm, and their fields."""
+        """Centres of the filled cells (N, 3), mm, and their fields; of a half those of its image too."""
         values = jax.tree.map(np.asarray, self._fields())
         filled = self.layout.material >= 0
         i, j = np.nonzero(filled)
@@ -152,7 +152,7 @@ class Simulation:
             if FRAME_FIELDS[name] == 3 and column.shape[1] == 2:
                 column = np.pad(column, ((0, 0), (0, 1)))
             data[name] = column
-        return points, data
+        return self.layout.half.with_images(points, data) if self.layout.half else (points, data)
 
     def little_energy(self) -> float:
         """Too little energy to judge a balance by, N·mm."""
@@ -243,7 +243,7 @@ def little_energy(scene, layout) -> float:
     A thousandth of what the bodies hold at onset; with gravity, what they win in falling a hundredth
     of their extent, if that is more: a body at rest has little but what it was set down with.
     """
-    volume = layout.cell**2 * scene.grid.thickness
+    volume = layout.cell**2 * layout.thickness
     onset = weight = 0.0
     for index, name in enumerate(layout.materials):
         material = scene.materials[name]

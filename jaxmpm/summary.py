@@ -22,6 +22,8 @@ def summarise(recorder, status: str) -> dict:
         "cells": cells, "can_crack": recorder.can_crack, "cracked": sim.cracked(), "steps": steps,
         "frame": _frame_name(recorder),
     }  # fmt: skip
+    if scene.grid.half:  # of which `cells` and `cracked` are told
+        out["half"] = scene.grid.half
     if scene.mesostructure:
         out["phases"] = sim.layout.shares()
     if moves:

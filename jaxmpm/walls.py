@@ -56,8 +56,7 @@ def crossed(scene, layout, displacement) -> str:
         wall = getattr(scene.grid.walls, side)
         if wall == "open":
             continue
-        edge = coordinates[axis].max() if end else coordinates[axis].min()
-        began = coordinates[axis]
+        began, edge = coordinates[axis], scene.grid.origin[axis] + (scene.grid.size[axis] if end else 0.0)
         beyond = (1 if end else -1) * (began + displacement[axis] - edge) > 1e-6 * layout.cell
         beyond &= filled & (abs(began - edge) > layout.cell / 2)  # a body may lie on the edge and stretch
         if beyond.any():

@@ -12,7 +12,7 @@ from jaxmpm.chart.settings import rest
 EXPONENTS = (2.2, 3.3)  # of the cell, in what a finer one will take, that are believed
 STEEPER = 1.2  # by how much equilibrium grows faster with 1/cell than motion
 FIRST_OVERHEAD = 12.0  # s: compiling, setting up and writing, where nothing is known yet
-GUESSES = {"solver": 12.0, "frame": 10.0, "precision": 0.9}  # factors before anything is timed
+GUESSES = {"solver": 12.0, "frame": 10.0, "precision": 0.9, "half": 0.6}  # factors before anything is timed
 
 
 class Costs:

@@ -20,6 +20,7 @@ BETWEEN = (3.0, 1.5, 4 / 3, 0.8, 0.75, 2 / 3)  # sizes between, for bodies that 
 SAME_AREA = 1e-3  # relative difference up to which bodies are filled alike
 MODEL = ("law", "size", "window")  # they change what is modelled, not how well
 OF_POINTS = ("shape", "per_side", "transfer")  # they change nothing unless points move
+OF_TOTAL = ("half",)  # they are for the total frame
 
 
 @dataclass(frozen=True)
@@ -125,7 +126,7 @@ def choices(source: Source, moved: bool) -> tuple[dict[str, list], dict[str, str
     """
     scene, found, refused = source.scene(), {}, {}
     for name, axis in AXES.items():
-        if name in OF_POINTS and not moved:
+        if name in (OF_TOTAL if moved else OF_POINTS):
             continue
         for value in axis.others(scene):
             try:
@@ -175,6 +176,13 @@ def _frames(scene: Scene):
     if scene.solver.kind != "explicit":
         return ()
     return ("total",) if scene.solver.frame == "updated" else ("updated",)
+
+
+def _halves(scene: Scene):
+    from jaxmpm.layout import lay_out
+    from jaxmpm.layout_half import symmetries
+
+    return symmetries(scene, lay_out(scene))
 
 
 def _cracks(scene: Scene) -> bool:
@@ -258,4 +266,11 @@ AXES = {
         "bands", "normal_window", "normal", (1, 3, 5), lambda value: f"normal over {value}×{value} cells", only=_cracks
     ),
     "law": Axis("band law", lambda scene: "damage", _laws, _put_law, lambda curve: f"cohesive law, {curve}"),
+    "half": Axis(
+        "half of what is symmetric",
+        lambda scene: scene.grid.half or "",
+        _halves,
+        lambda tree, axis: tree["grid"].update(half=axis),
+        lambda axis: f"half along {axis}",
+    ),
 }  # fmt: skip

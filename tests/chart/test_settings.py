@@ -55,6 +55,14 @@ def test_points_in_cells_are_a_choice_only_where_points_move():
     assert not {"per_side", "shape", "transfer"} & set(of_plate)
 
 
+def test_half_is_a_choice_of_what_is_symmetric_and_stays_in_the_total_frame():
+    found = choices(Source("beam"), moved=False)[0]
+    assert found["half"] == ["x"] and "half" not in choices(Source("beam"), moved=True)[0]
+    assert "half" not in choices(Source("den"), moved=False)[0]
+    half = apply(Source("beam"), {"half": "x", "cell": 1.25})
+    assert lay_out(half).shape == (70, 40) and label({"half": "x"}, 2.5) == "2.5 mm, half along x"
+
+
 def test_a_setting_is_named_in_words_and_told_from_others():
     setting = {"precision": "float32", "speed": 2.0, "cell": 5.0}
     assert label(setting, 2.5) == "5 mm, twice as fast, float32"
