@@ -168,7 +168,7 @@ class Run(OfMaterials):
             raise SceneError('solver.elastic_rise = "equilibrium": expected "motion" for a run that is differentiated')
         if solver.frame == "updated":
             raise SceneError('solver.frame = "updated": expected "total" or "auto" for a run that is differentiated')
-        sim = Simulation.of(scene)
+        sim = Simulation.of(scene, crop=False)  # fields of parameters are those of all cells of the grid
         steps = int(np.ceil((sim.steps - 1) * np.sqrt(stiffer)))
         every = -(-steps // samples)
         room = capacity or max(explicit.ROOM, sim.model.material.size // 4)

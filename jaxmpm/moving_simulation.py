@@ -41,6 +41,7 @@ class MovingSimulation:
     @classmethod
     def of(cls, simulation) -> "MovingSimulation":
         """Go on from a `Simulation` in the total frame."""
+        before, simulation = simulation, simulation.on_whole_grid()
         scene, layout = simulation.scene, simulation.layout
         begin = int(simulation.state.step) * simulation.dt
         fields, body_of = _fields(scene, layout, simulation)
@@ -56,7 +57,7 @@ class MovingSimulation:
             compile_seconds=simulation.compile_seconds,
         )  # fmt: skip
         if begin > 0:
-            sim._join_gauges(simulation)
+            sim._join_gauges(before)
         return sim
 
     def _join_gauges(self, simulation):
@@ -69,7 +70,7 @@ class MovingSimulation:
     @classmethod
     def blank(cls, simulation) -> "MovingSimulation":
         """One whose state is only the shape of one, to be filled from a restart file."""
-        no = jnp.zeros((), bool)
+        simulation, no = simulation.on_whole_grid(), jnp.zeros((), bool)
         zero = jnp.zeros(())
         pool = simulation.state.pool if simulation.model.numerics.cracks else None
         state = moving.State(Points(*[zero] * len(Points._fields)), zero, Room(no, no, no), pool, zero, simulation.state.work, zero)

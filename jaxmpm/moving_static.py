@@ -54,7 +54,7 @@ class MovingStatic(MovingSimulation):
         state = models.first_state(model, layout.velocity)
         solver, samples = scene.solver, scene.output.samples
         stable = float(models.stable_time_step(model))
-        total = Simulation(scene, layout, model, state, solver.duration / samples, stable, samples)
+        total = Simulation(scene, layout, model, state, solver.duration / samples, stable, samples, layout)
         sim = super().of(total)
         sim.dt, sim.steps, sim.stable_dt = solver.duration / samples, samples, stable
         sim.path = Path(sim.model, scene.grid.thickness, solver.tolerance)

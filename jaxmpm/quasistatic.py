@@ -12,6 +12,7 @@ from jaxmpm.equilibria import Equilibria
 from jaxmpm.errors import RunError
 from jaxmpm.follow import Follower
 from jaxmpm.layout import lay_out
+from jaxmpm.layout_crop import cropped
 from jaxmpm.one_thread import on_one_thread
 from jaxmpm.scene import Scene
 from jaxmpm.simulation import Simulation
@@ -35,7 +36,8 @@ class QuasiStatic(Simulation):
 
         Layout and model may be given; an `adjoint.Tape` keeps what is needed for derivatives.
         """
-        layout = lay_out(scene) if layout is None else layout
+        whole = lay_out(scene) if layout is None else layout
+        layout = cropped(whole) if layout is None else layout
         model = models.from_layout(scene, layout) if model is None else model
         state = models.first_state(model, layout.velocity)
         solver = scene.solver
@@ -50,7 +52,7 @@ class QuasiStatic(Simulation):
         follower = Follower(equilibria, solver.duration, control, *(share * solver.duration for share in shares))
         samples = scene.output.samples
         stable = float(models.stable_time_step(model))
-        return cls(scene, layout, model, state, solver.duration / samples, stable, samples, follower=follower)
+        return cls(scene, layout, model, state, solver.duration / samples, stable, samples, whole, follower=follower)
 
     @property
     def open_ended(self) -> bool:

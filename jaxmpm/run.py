@@ -67,9 +67,9 @@ class Recorder:
         self.rise = self.sim.rise  # passed in equilibrium, if it is
         if self.rise is not None and self.rise.why:
             self.messages.append(self.rise.why)
-        self.offer = layout_half.offer(scene, self.sim.layout)
         if not self.static and self._begins_as_points():
             self.sim = MovingSimulation.of(self.sim)
+        self.offer = "" if self.moves else layout_half.offer(scene, self.sim.whole)
         self.columns = [("step", ""), ("time", "s")]
         self.columns += [(gauge.name, gauge.unit) for gauge in self.sim.layout.gauges]
         self.columns += [(name, "N mm") for name in ENERGIES]
@@ -96,7 +96,7 @@ class Recorder:
         frame = self.kind_of_frame
         if frame == "updated":
             return True
-        met = walls.heading(self.scene, self.sim.layout)
+        met = walls.heading(self.scene, self.sim.whole)
         if met and frame == "total":
             raise SceneError(f'solver.frame = "total": expected "auto" or "updated", as {met}')
         if met:

@@ -1,7 +1,7 @@
 """A scene in the total frame made ready to run: its model, its state, the compiled step."""
 
 import time as clock
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +11,7 @@ from jaxmpm import compilation, explicit, model as models, observe, walls
 from jaxmpm.elastic_rise import ElasticRise
 from jaxmpm.errors import RunError, SceneError, written
 from jaxmpm.layout import lay_out
+from jaxmpm.layout_crop import cropped, padded
 from jaxmpm.scene import Scene
 
 MOST_STEPS = 2**31 - 2  # steps are counted in 32 bits
@@ -37,15 +38,20 @@ class Simulation:
     dt: float  # s
     stable_dt: float  # s
     steps: int  # in the whole run
+    whole: object = None  # the layout of the grid as the scene has it, where `layout` leaves out what no body fills
     compile_seconds: float = 0.0
     run_seconds: float = 0.0
     rise: ElasticRise | None = None  # to be passed in equilibrium
     _compiled: dict = field(default_factory=dict)
 
     @classmethod
-    def of(cls, scene: Scene) -> "Simulation":
-        """Lay out a scene and build its model and first state; raises SceneError."""
-        layout = lay_out(scene)
+    def of(cls, scene: Scene, crop: bool = True) -> "Simulation":
+        """Lay out a scene and build its model and first state; raises SceneError.
+
+        `crop`: whether to leave out rows and columns of the grid that lie beyond all bodies.
+        """
+        whole = lay_out(scene)
+        layout = cropped(whole) if crop else whole
         model = models.from_layout(scene, layout)
         stable = float(models.stable_time_step(model))
         duration = scene.solver.duration
@@ -59,7 +65,7 @@ class Simulation:
         steps = int(steps)
         state = models.first_state(model, layout.velocity)
         dt = duration / steps
-        sim = cls(scene, layout, model, state, dt, stable, steps + 1)
+        sim = cls(scene, layout, model, state, dt, stable, steps + 1, whole)
         if scene.solver.elastic_rise == "equilibrium":
             sim.rise = sim._rise()
         return sim
@@ -71,6 +77,13 @@ class Simulation:
         rise = ElasticRise.of(self.model, self.state, self.dt, marks)
         self.run_seconds += clock.perf_counter() - began
         return rise
+
+    def on_whole_grid(self) -> "Simulation":
+        """The same with all of the grid, for points that may go anywhere on it."""
+        if self.whole is None or self.whole is self.layout:
+            return self
+        state = padded(self.state, self.layout, self.whole)
+        return replace(self, layout=self.whole, model=models.from_layout(self.scene, self.whole), state=state, _compiled={})
 
     def compiled(self, function):
         """`function(model, state, dt, …)` compiled for the present capacity, timed once."""

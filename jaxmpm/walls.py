@@ -54,13 +54,16 @@ def crossed(scene, layout, displacement) -> str:
     coordinates = layout.node_coordinates()
     for side, axis, end in SIDES:
         wall = getattr(scene.grid.walls, side)
-        if wall == "open":
+        plane = layout.half is not None and layout.half.axis == axis and not end
+        if wall == "open" and not plane:
             continue
-        began, edge = coordinates[axis], scene.grid.origin[axis] + (scene.grid.size[axis] if end else 0.0)
+        began = coordinates[axis]
+        edge = layout.half.plane if plane else scene.grid.origin[axis] + (scene.grid.size[axis] if end else 0.0)
         beyond = (1 if end else -1) * (began + displacement[axis] - edge) > 1e-6 * layout.cell
         beyond &= filled & (abs(began - edge) > layout.cell / 2)  # a body may lie on the edge and stretch
         if beyond.any():
             i, j = np.argwhere(beyond)[0]
             x, y = coordinates[:, i, j]
-            return f'the node from ({x:g}, {y:g}) mm has gone beyond grid.walls.{side} = "{wall}"'
+            beyond = "the plane of symmetry" if plane else f'grid.walls.{side} = "{wall}"'
+            return f"the node from ({x:g}, {y:g}) mm has gone beyond {beyond}"
     return ""
