@@ -24,8 +24,14 @@ class Half:
     axis: int
     plane: float
 
-    def with_images(self, points: np.ndarray, data: dict) -> tuple[np.ndarray, dict]:
-        """Places (N, 3), mm, and fields (N, k) of a frame, followed by those of their images."""
+    def with_images(self, points: np.ndarray, data: dict, cell: float) -> tuple[np.ndarray, dict]:
+        """Places (N, 3), mm, and fields (N,) or (N, 3) of a frame, followed by those of their images; `cell`: mm.
+
+        A crack along the plane, which a cell shares with its image, has opened by half in either.
+        """
+        along = np.abs(data["normal"][:, self.axis]) > np.abs(data["normal"][:, 1 - self.axis])
+        shared = along & (points[:, self.axis] < self.plane + cell)
+        data = data | {"opening": np.where(shared, 0.5, 1.0) * data["opening"]}
         turned = np.where(np.arange(3) == self.axis, -1.0, 1.0)
         image = turned * points
         image[:, self.axis] += 2 * self.plane

@@ -165,7 +165,7 @@ class Simulation:
             if FRAME_FIELDS[name] == 3 and column.shape[1] == 2:
                 column = np.pad(column, ((0, 0), (0, 1)))
             data[name] = column
-        return self.layout.half.with_images(points, data) if self.layout.half else (points, data)
+        return self.layout.half.with_images(points, data, cell) if self.layout.half else (points, data)
 
     def little_energy(self) -> float:
         """Too little energy to judge a balance by, N·mm."""

@@ -98,6 +98,7 @@ def pulled_bar(half):
 def test_crack_on_the_plane_is_one_crack(tmp_path, capsys):
     """Not two: closed form of load against elongation, and G_F times area."""
     whole = Recorder(pulled_bar(False), tmp_path / "whole", resume=False, progress=False, suffix=".png")
+    whole.history.close(), whole.cloud.close()
     assert whole.offer == "the scene is symmetric about x = 50 mm and y = 5 mm: half of it will do, --set grid.half=x"
     summary = run_scene(pulled_bar(True), tmp_path)
     assert '20 cells of 5 mm' in (said := capsys.readouterr().err) and 'half of the scene (grid.half = "x")' in said
@@ -110,6 +111,8 @@ def test_crack_on_the_plane_is_one_crack(tmp_path, capsys):
     np.testing.assert_allclose(delta[behind], expected, rtol=2e-3)
     assert history["external_work"][-1] == pytest.approx(9.93, rel=0.01)
     frame = read_frame(tmp_path / "result.vtkhdf", -1)
+    row = np.isclose(frame["points"][:, 1], 2.5)
+    assert frame["opening"][row].sum() == pytest.approx(delta[-1] - load[-1] / 32000.0, rel=1e-3)
     assert frame["points"][:, 0].min() < 50 < frame["points"][:, 0].max() and len(frame["points"]) == 40
 
 
