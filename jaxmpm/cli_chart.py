@@ -5,7 +5,7 @@ from pathlib import Path
 
 UNITS = {"": 1.0, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0}
 LONGEST = 7 * 86400.0  # s
-CHOICES = ("solver", "speed", "step", "rise", "precision", "frame", "shape", "per_side", "transfer", "size", "window", "law")
+CHOICES = ("solver", "speed", "step", "rise", "precision", "frame", "shape", "per_side", "transfer", "size", "window", "law", "half")
 
 
 def add_command(commands, run) -> None:
