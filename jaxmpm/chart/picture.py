@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from jaxmpm import plot_style
 from jaxmpm.chart.front import SHORT, front, percent, seconds
 from jaxmpm.chart.outcome import WORDS
-from jaxmpm.chart.settings import MODEL, rest
+from jaxmpm.chart.settings import MODEL, OF_POINTS, rest
 from jaxmpm.plot_style import ACCENT, FAINT, INK, styled_figure, title
 
 if TYPE_CHECKING:
@@ -17,13 +17,15 @@ if TYPE_CHECKING:
 
 # Okabe and Ito's colours, told apart by all; a marker of its own for each besides.
 FAMILIES = {
-    "cells alone": (INK, "o"), "loading rate": ("#E69F00", "^"), "precision": ("#56B4E9", "s"), "steps of time": ("#999999", "v"),
-    "equilibrium": ("#009E73", "D"), "points that move": ("#D55E00", "P"), "what is modelled": ("#CC79A7", "X"),
+    "cells alone": (INK, "o"), "loading rate": ("#E69F00", "^"), "precision": ("#56B4E9", "s"), "time step": ("#999999", "v"),
+    "less modelled": ("#7B3294", "p"), "equilibrium": ("#009E73", "D"), "points that move": ("#D55E00", "P"), "what is modelled": ("#CC79A7", "X"),
     "several at once": ("#0072B2", "*"),
 }  # fmt: skip
 BY_AXIS = {
-    "speed": "loading rate", "precision": "precision", "step": "steps of time", "rise": "steps of time", "solver": "equilibrium", "frame": "points that move",
-    "shape": "points that move", "per_side": "points that move", "transfer": "points that move", **dict.fromkeys(MODEL, "what is modelled"),
+    "speed": "loading rate", "precision": "precision", "step": "time step", "rise": "less modelled", "half": "less modelled",
+    "solver": "equilibrium", "frame": "points that move",
+    **dict.fromkeys(OF_POINTS, "points that move"),
+    **dict.fromkeys(MODEL, "what is modelled"),
 }  # fmt: skip
 LEAST = 1e-5  # relative: the reference itself, and what is as near to it, lies on the lower edge of the chart
 ROOM = 2.0  # between the lower edge and the smallest error above
