@@ -19,12 +19,13 @@ def particles_per_cell(cells=(16, 64), counts=(1, 2, 3, 4, 6, 8), amplitude=0.05
     """Displacement errors over the amplitude, NaN where the run fails: {cells: {function: one a count}}."""
     bar = Bar(amplitude)
     return {
-        n: {name: [_error(bar, n, make(each), each) / amplitude for each in counts] for name, make in FUNCTIONS.items()}
+        n: {name: [error_or_nan(bar, n, make(each), each) / amplitude for each in counts] for name, make in FUNCTIONS.items()}
         for n in cells
     }
 
 
-def _error(bar, cells, shape, each):
+def error_or_nan(bar, cells, shape, each) -> float:
+    """Displacement error of a bar with so many points a cell; NaN where the run fails."""
     try:
         return bar.error(cells, shape, each=each)
     except RuntimeError:  # points have left the bar

@@ -27,7 +27,7 @@ def draw(table, path) -> Path:
         grid = figure.subplots(len(ways), len(METHODS), sharex=True, sharey=True)
         figure.subplots_adjust(0.085, 1.2 / high, 0.965, 1 - 0.4 / high, wspace=0.07, hspace=0.09)
         for (row, way), (column, name) in product(enumerate(ways), enumerate(METHODS)):
-            _panel(grid[row, column], [r for r in table if stability.panel_of(r) == (name, *way)])
+            panel(grid[row, column], [r for r in table if stability.panel_of(r) == (name, *way)])
         for axes, method in zip(grid[0], METHODS.values(), strict=True):
             axes.set_title(method.title, fontsize=10, fontweight="bold", pad=7)
         for axes, (way, precision) in zip(grid[:, -1], ways, strict=True):
@@ -42,7 +42,8 @@ def draw(table, path) -> Path:
     return Path(path)
 
 
-def _panel(axes, rows):
+def panel(axes, rows) -> None:
+    """Draw the rows of one panel of a map."""
     from matplotlib.colors import ListedColormap
     from matplotlib.ticker import LogLocator, NullLocator
 
