@@ -227,12 +227,13 @@ class Follower:
         `back`: whether the loads may go back with it.
         """
         self.equilibria.open_critical()
-        if self.line.increments and self._with(self.line.kind, self.line.only, until):
+        line = self.line  # which may end here
+        if line.increments and self._with(line.kind, line.only, until):
             return True
         first = [("gauge", None)] if self.control == "gauge" else [("dissipation", None)] * (self.control == "dissipation")
         for kind, only in (*first, *(("dissipation", k) for k in self._runaways()), ("dissipation", None)):
             if self._with(kind, only, until, back):
-                self.line.kind, self.line.only = kind, only
+                line.kind, line.only = kind, only
                 self.begun = self.size[kind] if kind == "dissipation" else self.begun
                 return True
         return False
