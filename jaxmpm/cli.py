@@ -5,7 +5,7 @@ import os
 import sys
 from pathlib import Path
 
-from jaxmpm import __version__, cli_chart, cli_ensemble, cli_scenes, cli_size
+from jaxmpm import __version__, cli_chart, cli_ensemble, cli_scenes, cli_size, cli_stability
 from jaxmpm.cli_examples import EXAMPLES
 from jaxmpm.cli_parser import Parser
 from jaxmpm.errors import ResultError, RunError, SceneError
@@ -52,6 +52,7 @@ def make_parser() -> Parser:
     cli_scenes.add_commands(commands, _folder, _picture)
     cli_chart.add_command(commands, lambda options: cli_chart.chart(options, _folder, _keep_compiled))
     cli_size.add_command(commands, _folder, _keep_compiled)
+    cli_stability.add_command(commands, _folder, _keep_compiled)
     _add_pictures(commands)
     _add_calibrate(commands)
     _add_checks(commands)
@@ -124,14 +125,6 @@ def _add_checks(commands) -> None:
     verify.add_argument("--cell", type=float, help="cell of the opening test, mm")
     verify.add_argument("--json", metavar="FILE", help="write the table as JSON")
     verify.set_defaults(command=_verify)
-
-    stability = commands.add_parser("stability", help="map where methods for a crack fail")
-    stability.add_argument(
-        "--out", metavar="DIR", default="results/stability",
-        help="where to write (default: results/stability)",
-    )  # fmt: skip
-    stability.add_argument("--coarse", action="store_true", help="a quick map, float64 only")
-    stability.set_defaults(command=_stability)
 
     bench = commands.add_parser("benchmark", help="time a scene over cell sizes, or points alone")
     bench.add_argument(
@@ -269,15 +262,6 @@ def _verify(options) -> int:
     checks = verify.run(options.checks, angle=options.angle, cell=options.cell, show=print)
     _write_json(file, checks)
     return 0 if all(check["passed"] for check in checks) else STOPPED
-
-
-def _stability(options) -> int:
-    _keep_compiled()
-    from jaxmpm import stability
-
-    summary = stability.run(_folder("--out", options.out), options.coarse, show=print)
-    print(f"written to {options.out}: stability.png stability.csv stability.json")
-    return 0 if summary["passed"] else STOPPED
 
 
 def _benchmark(options) -> int:

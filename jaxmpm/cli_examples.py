@@ -66,7 +66,11 @@ EXAMPLES = {
         ("jaxmpm verify multigrid", "how steps of the linear solver grow with the grid, and what 640 x 640 cells take"),
         ("jaxmpm verify opening --angle 22.5 --cell 1.25", "one opening test"),
     ],
-    "stability": [("jaxmpm stability --coarse --out map", "a quick map: map/stability.png")],
+    "stability": [
+        ("jaxmpm stability --coarse --out map", "a quick map: map/stability.png"),
+        ("jaxmpm stability --page", "time steps, cell crossing, locking, rates, float32, H_max: results/stability/stability_page.png"),
+        ("jaxmpm stability --page --only cfl locking --resume", "some of it, all else as it was measured before"),
+    ],
     "benchmark": [
         ("jaxmpm benchmark den --cells 5 2.5", "ms a step, cell-steps/s, memory"),
         ("jaxmpm benchmark points", "cracked points a second"),
