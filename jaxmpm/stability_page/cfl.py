@@ -149,6 +149,9 @@ def draw(axes, found):
         own = [row for row in found["rows"] if row["series"] == series]
         label = series if series == "total frame" else f"points that move, {series}"
         axes.plot([row["y"] or LOW for row in own], [names.index(row["x"]) for row in own], marker, color=colour, ms=6, label=label)
+        for row in own:
+            if row["y"] is None:
+                axes.annotate("none found", (LOW, names.index(row["x"])), (7, 0), textcoords="offset points", va="center", fontsize=7.5)
     axes.axvline(1.0, color="#444444", lw=0.9, ls="--", zorder=1)
     axes.annotate("estimate", (1.0, 1.0), (-3, -3), ("data", "axes fraction"), "offset points", rotation=90, ha="right", va="top", fontsize=8)
     axes.set(xlim=(0, None), ylim=(len(names) - 0.4, -0.6), xlabel="critical step / estimate")

@@ -44,8 +44,8 @@ def draw(axes, found):
     curves(axes, found["rows"])
     low, high = CELLS[0], CELLS[-1]
     axes.plot([low, high], [SLOPE, SLOPE * (low / high) ** 2], color="#8d96a0", lw=0.9)
-    axes.annotate("second order", (high, SLOPE * (low / high) ** 2), (-3, -2), textcoords="offset points", ha="right", va="top", fontsize=8)
-    axes.set(xscale="log", yscale="log", xlabel=f"cells of the bar, {EACH} points in each", ylabel="error / amplitude")
+    axes.annotate("second order", (high, SLOPE * (low / high) ** 2), (-6, -1), textcoords="offset points", ha="right", va="top", fontsize=8)
+    axes.set(xscale="log", yscale="log", xlabel=f"cells of the bar, {EACH} points in each", ylabel="error / amplitude", ylim=(4e-5, 1))
     axes.xaxis.set_major_locator(FixedLocator(CELLS))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.xaxis.set_minor_formatter(NullFormatter())

@@ -37,8 +37,8 @@ def lines(found):
 def draw(axes, found):
     """Work over exact work, by angle."""
     axes.axhspan(0.95, 1.05, color="#eceef1", zorder=0)
-    axes.annotate("within 5 %", (45, 0.955), (0, 1), textcoords="offset points", ha="right", va="bottom", fontsize=8, color="#555555")
+    axes.annotate("within 5 %", (1, 0.952), (0, 0), textcoords="offset points", ha="left", va="bottom", fontsize=8, color="#555555")
     curves(axes, found["rows"])
-    axes.set(xlabel="angle of the crack to the grid [°]", ylabel="work / exact work", xticks=ANGLES[::2], ylim=(0.9, None))
+    axes.set(xlabel="angle of the crack to the grid [°]", ylabel="work / exact work", xticks=ANGLES[::2], ylim=(0.9, 1.55))
     axes.legend(fontsize=7.5, loc="upper right")
     plain(axes)

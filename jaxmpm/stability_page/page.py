@@ -26,8 +26,11 @@ def kept(directory: Path) -> dict:
     if not path.exists():
         return {}
     panels = read_object(path).get("panels")
-    if not isinstance(panels, dict) or not all(name in PANELS and isinstance(found, dict) and "rows" in found for name, found in panels.items()):
-        raise ResultError(f"{path}: expected the panels of an earlier jaxmpm stability --page; start anew without --resume")
+    try:
+        for name, found in panels.items():
+            list(PANELS[name].lines(found))
+    except (AttributeError, KeyError, IndexError, TypeError, ValueError) as error:
+        raise ResultError(f"{path}: expected the panels of an earlier jaxmpm stability --page ({error!r}); start anew without --resume") from error
     return panels
 
 
