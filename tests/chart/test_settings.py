@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from jaxmpm.chart.settings import Source, apply, cells, choices, key, label
+from jaxmpm.chart.picture import BY_AXIS, FAMILIES
+from jaxmpm.chart.settings import AXES, Source, apply, cells, choices, key, label
 from jaxmpm.layout import lay_out
 
 
@@ -53,6 +54,10 @@ def test_points_in_cells_are_a_choice_only_where_points_move():
     assert of_discs["per_side"] == [1, 3] and of_discs["transfer"] == ["flip", "apic", "xpic"]
     assert apply(Source("discs"), {"transfer": "apic"}).points.transfer == "apic"
     assert not {"per_side", "shape", "transfer"} & set(of_plate)
+
+
+def test_every_choice_has_a_colour_on_the_chart():
+    assert set(BY_AXIS) == set(AXES) and set(BY_AXIS.values()) <= set(FAMILIES)
 
 
 def test_half_is_a_choice_of_what_is_symmetric_and_stays_in_the_total_frame():
