@@ -173,6 +173,18 @@ def test_the_farthest_that_a_load_goes_is_not_passed_over():
     assert float(sim.read().dissipated) > 0.3
 
 
+def test_loads_may_end_just_where_energy_has_taken_over():
+    """Held just behind onset: the first increment under control of energy is the last of the loads that grow."""
+    history = "displacements.0.history.value=[0.0, 0.00895, 0.00895]"
+    sim = QuasiStatic.of(bar(100, history, 'solver.control="dissipation"', "output.samples=20"))
+    sim.at_rest()
+    while not sim.finished:
+        sim.advance(20)
+    reading = sim.read()
+    assert int(reading.cracked) == 2 and float(reading.dissipated) > 0
+    np.testing.assert_allclose(float(reading.gauges["delta"]), 0.00895, rtol=1e-9)
+
+
 def test_loads_that_crack_at_once_are_refused(tmp_path):
     """What no increment leads to is no equilibrium to begin with, though uncracked cells would bear it."""
     with pytest.raises(RunError, match="loads at t = 0 stress a cell to 2.25 times what it bears"):
