@@ -20,7 +20,12 @@ from jaxmpm.scene import Scene
 
 FILE = Path(__file__).with_name("measured.json")
 CHOICES = ("cell", "speed", "precision")
-NEEDED = [(4.0, 2.0), (4.0, 1.0), (4.0, 0.5), (2.0, 2.0), (2.0, 1.0), (1.0, 1.0)]  # in float32: loading rate, cells over the scene's
+FLOAT32 = "float32"
+NEEDED = [  # cells over the scene's, loading rate and precision
+    (2.0, {"speed": 4.0, "precision": FLOAT32}), (1.0, {"speed": 4.0, "precision": FLOAT32}), (0.5, {"speed": 4.0, "precision": FLOAT32}),
+    (2.0, {"speed": 2.0, "precision": FLOAT32}), (1.0, {"speed": 2.0, "precision": FLOAT32}), (1.0, {"precision": FLOAT32}),
+]  # fmt: skip
+BETWEEN = [{}, {"speed": 4.0, "precision": FLOAT32}]  # on cells between, where there are some: they need not behave like either
 EXPONENTS = (1.0, 2.0)  # of the loading rate, in what it shifts, that are believed
 WORDS = {
     "specimen": "a body that cracks", "volume": "a volume with inclusions", "elastic": "a body that does not crack",
@@ -62,9 +67,10 @@ def completed(directory: str) -> dict:
     known = read_chart(directory)
     chart = Chart(Source(known["name"]), Path(directory), math.inf, True, "auto", None, tuple(AXES), True)
     chart.judge()
-    for speed, cells in NEEDED:
-        setting = {"cell": cells * chart.cell} if cells != 1.0 else {}
-        setting |= ({"speed": speed} if speed != 1.0 else {}) | {"precision": "float32"}
+    own = chart.cell
+    between = max((size for size in chart.search.sizes if own / 2 < size < own), default=None)
+    settings = [({"cell": ratio * own} if ratio != 1.0 else {}) | choice for ratio, choice in NEEDED]
+    for setting in settings + [{"cell": between} | choice for choice in BETWEEN if between]:
         if key(setting) not in {record["key"] for record in chart.records}:
             chart.one(setting, at_least=math.inf)  # it is needed, whatever it takes
     chart.write()
@@ -94,17 +100,18 @@ class Experience:
         return median(found) if found else 1.0
 
     def rate(self, number: str, speed: float, coarse: bool) -> float | None:
-        """The largest shift that loading `speed` times as fast makes; between the speeds measured by a power of them."""
+        """The largest shift that loading `speed` times as fast makes; between the speeds measured, 2 and 4, by a power of them.
+
+        None below 2, where it is not believed to fall: any change lets other cells crack first.
+        """
         if speed == 1.0:
             return 0.0
         known = {value: self.shift(number, coarse, speed=value) for value in (2.0, 4.0)}
-        if None in known.values() or speed > 4.0:
+        if None in known.values() or not 2.0 <= speed <= 4.0:
             return None
         low, high = known[2.0], max(known[4.0], known[2.0])
         power = math.log2(max(high / low - 1, 1e-9)) if low > 0 else EXPONENTS[0]
         power = min(max(power, EXPONENTS[0]), EXPONENTS[1])
-        if speed <= 2.0:
-            return low * (speed**power - 1) / (2**power - 1)
         return low + (high - low) * (speed**power - 2**power) / (4**power - 2**power)
 
     def blur(self, number: str, **quick) -> float:

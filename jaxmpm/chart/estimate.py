@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 from jaxmpm.chart.classes import Experience
 
-SPEEDS = (1.0, 2**0.5, 2.0, 2**1.5, 4.0)  # of loading that are considered, over that of the scene
+SPEEDS = (1.0, 2.0, 2**1.5, 4.0)  # of loading that are considered, over that of the scene
 MARGIN = 1.25  # by which what was seen is enlarged
 ORDERS = (0.5, 2.0)  # of convergence that are believed
 ORDER = 1.0  # where it is not observed

@@ -62,8 +62,9 @@ def test_what_tolerances_build_on_is_run_where_a_chart_left_it_out(machine, tmp_
     for _ in range(2):
         classes.main([str(tmp_path / "den"), "--out", str(tmp_path / "measured.json")])
         (known,) = json.loads((tmp_path / "measured.json").read_text())["charts"]
-        single = {(run["setting"].get("speed", 1.0), run["setting"]["cell"] / 2.5) for run in known["runs"] if "precision" in run["setting"]}
-        assert single >= set(classes.NEEDED)
+        there = [run["setting"] for run in known["runs"]]
+        assert all({"cell": 2.5 * ratio} | choice in there for ratio, choice in classes.NEEDED)
+        assert len([one for one in there if 1.25 < one["cell"] < 2.5]) == len(classes.BETWEEN)
         counts.append(len(read_chart(tmp_path / "den")["runs"]))
     assert counts[0] < counts[1] == counts[2]  # nothing is left for the second time
 
