@@ -145,8 +145,9 @@ class _Choice:
             if not self._known(quick):
                 continue
             self.estimate = Estimate(self.experience, self.own, self.finest, self.names, quick)
-            # Where there is no quick run on the finest cells two coarser ones are cheap enough.
-            pair = [self.finest, self.own] if quick else (coarser if len(coarser) > 1 else [*coarser, self.own])[-2:]
+            # Cells much finer than half the scene's are extrapolated to; and where no choice is quick, from two coarser ones.
+            finer = min(size for size in self.sizes if size > 0.99 * HALF * self.own)
+            pair = [finer, self.own] if quick else (coarser if len(coarser) > 1 else [*coarser, self.own])[-2:]
             if all(self._quick(cell) for cell in dict.fromkeys(sorted(pair))):
                 break
         else:
@@ -170,7 +171,7 @@ class _Choice:
         return True
 
     def _quick(self, cell: float) -> bool:
-        """One quick run, into the estimate; whether it came to its end. The first is the one on the finest cells."""
+        """One quick run, into the estimate; whether it came to its end. The first is the one on the finest."""
         setting = self.of_cell(cell) | self.estimate.quick
         try:
             summary, outcome = run_setting(self.source, setting, math.inf)
