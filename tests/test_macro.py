@@ -11,6 +11,7 @@ from jaxmpm.errors import SceneError
 from jaxmpm.scene import Scene
 from jaxmpm.simulation import Simulation
 
+HASTY = True  # see conftest.py
 E, NU, STRAIN = 32000.0, 0.2, 5e-5
 SHAPE = (6, 4)
 WHOLE = {"kind": "rectangle", "min": [0.0, 0.0], "max": [6.0, 4.0]}

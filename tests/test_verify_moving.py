@@ -12,6 +12,8 @@ from jaxmpm.shape_functions import Cubic, Linear, Quadratic
 from jaxmpm.verify_moving import Bar, Vortex, fitted_order, noise, quadrature_noise
 from jaxmpm.verify_points import lattice
 
+HASTY = True  # see conftest.py
+
 
 def balance(case, home, time, law, density):
     """a − ∇·P/ρ of the exact motion at one point, by automatic differentiation."""
