@@ -64,7 +64,7 @@ class Recorder:
         self.can_crack = any(scene.materials[name].band for name in self.sim.layout.materials)
         self.handed_over = None  # time, s
         self.messages: list[str] = []
-        self.rise = self.sim.rise  # passed in equilibrium, if it is
+        self.rise = None if self.static else self.sim.rise  # passed in equilibrium, if it is
         if self.rise is not None and self.rise.why:
             self.messages.append(self.rise.why)
         if not self.static and self._begins_as_points():
