@@ -4,6 +4,11 @@ from jaxmpm.scene import load_scene
 from jaxmpm.stiffness import weights_of
 
 STATIC = ['solver.kind="quasistatic"', "solver.damping=0.02"]
+COARSE = [  # the scene den on cells of 10 mm, whose notches take a row of cells
+    "grid.cell=10", "sets.right_lower.inside.0.max=[200.0, 90.0]", "gauges.left_notch.points=[[0.0, 90.0], [0.0, 100.0]]",
+    *(f"bodies.0.minus.{k}.{side}=[{x}, {y}]" for k, xs in ((0, (0, 30)), (1, (170, 200))) for side, x, y in
+      (("min", xs[0], 90), ("max", xs[1], 100))),
+]  # fmt: skip
 
 
 def bar(length, *more):
@@ -14,11 +19,8 @@ def bar(length, *more):
 
 
 def plate(*more):
-    """The scene den on cells of 10 mm, whose notches take a row of cells, in equilibrium."""
-    notches = [f"bodies.0.minus.{k}.{side}=[{x}, {y}]" for k, xs in ((0, (0, 30)), (1, (170, 200))) for side, x, y in
-               (("min", xs[0], 90), ("max", xs[1], 100))]  # fmt: skip
-    return load_scene("den", [*STATIC, "grid.cell=10", "sets.right_lower.inside.0.max=[200.0, 90.0]",
-                              "gauges.left_notch.points=[[0.0, 90.0], [0.0, 100.0]]", *notches, *more])  # fmt: skip
+    """The scene den on cells of 10 mm in equilibrium."""
+    return load_scene("den", [*STATIC, *COARSE, *more])
 
 
 def without(structure, cells, keep):
