@@ -23,9 +23,8 @@ def respond(*args):
 
 WEIGHTS = {-2: 1 / 12, -1: -2 / 3, 1: 2 / 3, 2: -1 / 12}  # central difference of fourth order
 
-BANDS = [("damage", size) for size in (1, 3, 4, 6)]
-BANDS += [("hordijk", 1)]
-BANDS += [(curve, 3) for curve in CURVES]
+BANDS = [("damage", size) for size in (3, 4, 6)]
+BANDS += [(curve, 3 if curve == "hordijk" else 1) for curve in CURVES]  # a curve is of one variable: in one dimension it is all there
 BANDS += [("released", 3), ("closing", 3), ("viscous", 3)]
 BANDS += [("plastic", 4)]
 
