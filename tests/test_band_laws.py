@@ -10,6 +10,8 @@ from jaxmpm.scene import Scene, load_scene
 from jaxmpm.scene_check import STEEPEST
 from jaxmpm.scene_source import bundled
 
+HASTY = True  # see conftest.py
+
 BUNDLED = bundled()
 
 OWN = '''
@@ -42,7 +44,7 @@ class LinearBand:
 
 def bar(band, weak=0.95, **changes):
     """The bundled bar with another band law, its weak column a share `weak` as strong."""
-    tree = load_scene("bar", ["output.samples=4"]).to_dict()
+    tree = load_scene("bar", ["parameters.cell=5", "output.samples=4"]).to_dict()
     tree["materials"]["concrete"]["band"] = band
     tree["materials"]["weak"]["band"] = band | {"ft": weak * band["ft"]}
     for key, value in changes.items():
@@ -126,7 +128,7 @@ def test_closed_crack_carries_compression_in_a_scene():
 def test_largest_size_of_cohesive_bands_is_checked_with_the_slopes_of_the_curves():
     for name, curve in CURVES.items():
         assert STEEPEST[name] == pytest.approx(curve.steepest, rel=1e-5)
-    with pytest.raises(SceneError, match=r"grid.cell = 2.5: expected at most 1.\d+ mm.*E GF/\(1 ft²\)"):
+    with pytest.raises(SceneError, match=r"grid.cell = 5.0: expected at most 1.\d+ mm.*E GF/\(1 ft²\)"):
         bar({"law": "cohesive", "ft": 30.0, "GF": 0.06, "h": 0.01})
 
 
@@ -153,7 +155,7 @@ FAULTS = {
         (own("my_laws.py:Raises"), "expected of Raises methods as .*AttributeError.*Gf"),
         (own("my_laws.py:NoPair"), "expected of NoPair methods as"),
         (own("my_laws.py:Hardens"), "expected of Hardens soften.*falls from 1"),
-        (own("my_laws.py:Small"), "grid.cell = 2.5: expected at most 0.7071 mm.*largest_size = 1 mm"),
+        (own("my_laws.py:Small"), "grid.cell = 5: expected at most 0.7071 mm.*largest_size = 1 mm"),
         (own(GF=-0.1), "LinearBand.*soften.*GF = -0.1"),
         (own(GF="0.1"), 'materials.concrete.band.GF = "0.1": expected a finite number .write 0.1, without quotes.$'),
         (own(Gf=0.1), "did you mean GF"),

@@ -8,13 +8,16 @@ import pytest
 
 from jaxmpm import benchmark, cli, verify
 
+HASTY = True  # see conftest.py
+
 
 def run(*arguments):
     return cli.main([str(argument) for argument in arguments])
 
 
 def test_run_writes_and_reports(tmp_path, capsys):
-    code = run("run", "bar", "--out", tmp_path, "--set", "output.samples=20", "--set", "output.frames=2")
+    words = "run", "bar", "--out", tmp_path, "--set", "parameters.cell=5", "--set", "output.samples=20", "--set", "output.frames=2"
+    code = run(*words)
     assert code == 0
     out, err = capsys.readouterr()
     assert "peak 0.2" in out and "cells cracked" in out
@@ -22,7 +25,7 @@ def test_run_writes_and_reports(tmp_path, capsys):
     summary = json.loads((tmp_path / "summary.json").read_text())
     # the weak column carries 0.95 f_t × 100 mm², and a little more: it cannot contract freely
     assert 265.0 < summary["peak_load"] < 292.0  # coarse samples may miss the tip
-    assert run("run", "bar", "--out", tmp_path, "--set", "output.samples=20", "--set", "output.frames=2", "--resume") == 0
+    assert run(*words, "--resume") == 0
     assert "is already complete" in capsys.readouterr().err
     assert run("plot", tmp_path, "--deformed", 50) == 0
     assert (tmp_path / "deformed.png").stat().st_size > 500
@@ -48,7 +51,7 @@ def test_bad_input_is_one_line_and_status_2(capsys):
 
 
 def test_a_stopped_run_is_status_1(tmp_path, capsys):
-    code = run("run", "bar", "--out", tmp_path, "--set", "solver.gradient_limit=1e-9", "--quiet")
+    code = run("run", "bar", "--out", tmp_path, "--set", "parameters.cell=5", "--set", "solver.gradient_limit=1e-9", "--quiet")
     assert code == cli.STOPPED
     assert "gradient_limit" in capsys.readouterr().err
 
