@@ -2,8 +2,9 @@
 cores of its own, as many as threads of its.
 
 A file that compares what runs yield, in programs that take longer to optimise than to run, says
-`HASTY = True`: they are hardly optimised. Not one that takes derivatives: without optimisation this code
-generator gives wrong ones (of a band that releases stress at onset, by E and h), of the right values.
+`HASTY = True`: they are hardly optimised. Not one that takes derivatives and does not hold them against differences, or against
+those of a program that is optimised: without optimisation this code generator gives wrong ones (of a band that releases stress at
+onset, by E and h), of the right values.
 """
 
 import os

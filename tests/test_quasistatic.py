@@ -13,6 +13,7 @@ from jaxmpm.quasistatic import QuasiStatic
 from jaxmpm.run import run_scene
 from jaxmpm.scene import load_scene
 
+HASTY = True  # see conftest.py
 E, FT, EP, N, H = 32000.0, 2.85, 8.184, 0.128, 0.05
 
 

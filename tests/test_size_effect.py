@@ -10,6 +10,8 @@ from jaxmpm import cli_size, size_effect
 from jaxmpm.laws.damage import Damage
 from jaxmpm.laws.elastic import Elastic
 
+HASTY = True  # see conftest.py
+
 
 def test_a_fit_finds_bazants_law_and_the_energy_of_fracture_mechanics():
     depths = np.array([50.0, 100.0, 200.0, 400.0])
