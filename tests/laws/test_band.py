@@ -33,11 +33,10 @@ def stress_of(kind, variables, nu, drag, band):
 
 @cache
 def directional(kind):
-    """Value and derivative in one direction, forward, and the gradient of a sum, in reverse."""
-    value = jax.jit(lambda *args: stress_of(kind, *args))
-    forward = jax.jit(
-        lambda v, t, *rest: jax.jvp(lambda v: stress_of(kind, v, *rest), (v,), (t,))[1],
-    )
+    """Value and derivative in one direction, of one program: compiling is what costs time."""
+    both = jax.jit(lambda v, t, *rest: jax.jvp(lambda v: stress_of(kind, v, *rest), (v,), (t,)))
+    value = lambda v, *rest: both(v, jnp.zeros_like(v), *rest)[0]  # noqa: E731
+    forward = lambda *args: both(*args)[1]  # noqa: E731
     return value, forward
 
 
@@ -89,11 +88,13 @@ def test_derivatives_are_those_of_central_differences(kind, size):
         assert np.median(errors / exact.max(0)) < 1e-8, regime
 
 
-@pytest.mark.parametrize("kind, size", [("damage", 3), ("hordijk", 3)])
+@pytest.mark.parametrize("kind, size", [("damage", 4), ("hordijk", 3)])
 def test_reverse_differentiation_says_the_same(kind, size):
     _, forward = directional(kind)
+    # hardly optimised: should that ever make it wrong (see conftest.py), the other mode, which is, says so
     total = jax.jit(
         jax.grad(lambda v, w, *rest: (w * stress_of(kind, v, *rest)).sum()),
+        compiler_options={"xla_backend_optimization_level": 0},
     )
     rng = np.random.default_rng(1)
     for regime in ("loading", "unloading", "damaged"):
