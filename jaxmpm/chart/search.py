@@ -24,6 +24,7 @@ class Search:
     def ladder(self, records: list[dict], costs: Costs, budget: float, left: float) -> dict | None:
         """The next finer cell of the scene as given, None where there is none or it takes too long."""
         known = {record["key"] for record in records}
+        refused = [record["setting"].items() for record in records if record["status"].startswith("refused")]
         for size in self.doubled:
             setting = self.of_cell(size)
             if key(setting) not in known:
@@ -38,12 +39,15 @@ class Search:
     def further(self, records: list[dict], costs: Costs, left: float, reference: Reference) -> dict | None:
         """The next setting worth a run besides those of the ladder, None where nothing is."""
         known = {record["key"] for record in records}
+        refused = [record["setting"].items() for record in records if record["status"].startswith("refused")]
         longest = LONGER * max(record["seconds"] for record in ladder(records))
         stages = (ONE, self._alone(records)), (HALF, self._quick(records)), (1.0, self._together(records, costs, reference))
         for share, settings in stages:
             found = []
             for setting in settings:
                 seconds = costs.seconds(setting)
+                if any(less <= setting.items() for less in refused):
+                    continue
                 if key(setting) not in known and seconds < longest and seconds + costs.overhead() < share * left:
                     found.append((seconds, setting))
             if found:
