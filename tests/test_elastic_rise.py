@@ -70,3 +70,19 @@ def test_what_is_motion_is_refused(changes, why):
 def test_a_loose_body_is_refused():
     with pytest.raises(SceneError, match='solver.elastic_rise = "equilibrium": expected supports that hold every body'):
         Simulation.of(load_scene("bar", {**RISE, "supports.1.fix": ["x"]}))
+
+
+@pytest.mark.parametrize("history", [
+    {"time": [0.0, 1e-3], "value": [2e-3, 4e-3]}, {"time": [0.0, 4e-4, 4.0001e-4, 1e-3], "value": [0.0, 1e-3, 4e-3, 4e-3]},
+    {"time": [0.0, 2e-5, 1e-3], "value": [0.0, 4e-3, 4e-3]},
+])  # fmt: skip
+def test_a_load_that_jumps_early_is_left_to_motion(history):
+    rise = Simulation.of(load_scene("bar", {**RISE, "displacements.0.history": history, "solver.duration": 1e-3})).rise
+    assert rise.last == 0 and "loads are not slow" in rise.why
+
+
+def test_a_load_that_turns_back_between_two_samples_cracks_what_it_cracks():
+    peaked = {"time": [0.0, 2e-3, 3e-3, 4e-3, 6e-3], "value": [0.0, 0.0, 0.05, 0.0, 0.0]}
+    changes = {**RISE, "displacements.0.history": peaked, "solver.duration": 6e-3, "output.samples": 3}
+    sim = Simulation.of(load_scene("bar", changes))
+    assert sim.steps / 3 < sim.rise.last < sim.steps / 2
