@@ -24,6 +24,7 @@ FLOAT32 = "float32"
 NEEDED = [  # cells over the scene's, loading rate and precision
     (2.0, {"speed": 4.0, "precision": FLOAT32}), (1.0, {"speed": 4.0, "precision": FLOAT32}), (0.5, {"speed": 4.0, "precision": FLOAT32}),
     (2.0, {"speed": 2.0, "precision": FLOAT32}), (1.0, {"speed": 2.0, "precision": FLOAT32}), (1.0, {"precision": FLOAT32}),
+    (0.5, {"precision": FLOAT32}),
 ]  # fmt: skip
 BETWEEN = [{}, {"speed": 4.0, "precision": FLOAT32}]  # on cells between, where there are some: they need not behave like either
 EXPONENTS = (1.0, 2.0)  # of the loading rate, in what it shifts, that are believed

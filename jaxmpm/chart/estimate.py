@@ -50,8 +50,10 @@ class Estimate:
         limit = self.at(name, self.finest)
         if self.finest < cell < min(self.runs):
             return abs(self.at(name, cell) / limit - 1) * MARGIN
+        if cell == self.finest:
+            return 0.0
         blur = self.experience.blur(name, **self.quick) if self.quick else 0.0
-        known = {size: abs(run[name] / limit - 1) * MARGIN + blur for size, run in self.runs.items()} | {self.finest: 0.0}
+        known = {size: abs(run[name] / limit - 1) * MARGIN + blur for size, run in self.runs.items()} | {self.finest: blur}
         if cell in known:
             return known[cell]
         larger, smaller = ([size for size in known if test(size)] for test in (lambda s: s > cell, lambda s: s < cell))
@@ -62,23 +64,30 @@ class Estimate:
         return max(known[b], known[b] + share * (known[a] - known[b]))
 
     def of(self, setting: dict) -> dict[str, float] | None:
-        """Errors of a setting; None where nothing is known of it."""
+        """Errors of a setting; None where nothing is known of it.
+
+        Loading rate and precision may both let other cells crack first, but that happens once: the larger counts.
+        """
         cell, speed = setting.get("cell", self.own), setting.get("speed", 1.0)
         found = {}
         for name in self.names:
-            parts = [self.of_cell(name, cell), self.of_rate(name, speed, cell > self.own)]
-            if "precision" in setting:
-                shift = self.experience.shift(name, False, precision=setting["precision"])
-                parts.append(shift if shift is None else MARGIN * shift)
+            parts = [self.of_cell(name, cell), self.of_rate(name, speed, cell > self.own), self.of_precision(name, setting)]
             if None in parts:
                 return None
-            found[name] = sum(parts)
+            found[name] = parts[0] + max(parts[1:])
         return found
 
     def of_rate(self, name: str, speed: float, coarse: bool) -> float | None:
         """Error that comes of loading faster."""
         shift = self.experience.rate(name, speed, coarse)
         return shift if shift is None else MARGIN * shift * max(self.rates.get(name, 1.0), 1.0)
+
+    def of_precision(self, name: str, setting: dict) -> float | None:
+        """Error that comes of fewer digits."""
+        if "precision" not in setting:
+            return 0.0
+        shift = self.experience.shift(name, False, precision=setting["precision"])
+        return shift if shift is None else MARGIN * shift
 
     def seconds(self, setting: dict) -> float:
         """What a run is likely to take, s."""
@@ -123,7 +132,8 @@ class Estimate:
         found = {}
         for name in self.names:
             seen = abs(self.runs[cell][name] / numbers[name] - 1) * (speed - 1) / (fast - speed)
-            found[name] = before[name] - self.of_rate(name, speed, cell > self.own) + seen
+            digits = self.of_precision(name, setting)
+            found[name] = before[name] - max(self.of_rate(name, speed, cell > self.own), digits) + max(seen, digits)
         return found
 
     def learn(self, setting: dict, expected: dict[str, float], after: dict[str, float]) -> None:
