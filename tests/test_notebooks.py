@@ -21,8 +21,9 @@ SHORTER = {
         ('plate = ["grid.cell=5"]', f"plate = [{TO_THE_PEAK}]"),
         ('"grid.cell=5", "solver.kind=quasistatic", "solver.duration=1.6e-3"', f'{TO_THE_PEAK}, "solver.kind=quasistatic"'),
     ],
+    "07_speed_accuracy": [("budget=150", "budget=25"), ('"output.frames": 2', '"output.frames": 2, "solver.duration": 3e-3')],
 }
-HASTY_ONES = ("02_moving_points", "04_gradients", "05_rve", "06_static_or_dynamic")  # see conftest.py
+HASTY_ONES = ("02_moving_points", "04_gradients", "05_rve", "06_static_or_dynamic", "07_speed_accuracy")  # see conftest.py
 
 
 def test_there_are_notebooks():
