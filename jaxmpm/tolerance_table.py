@@ -14,6 +14,7 @@ from jaxmpm.chart.measure import run_seconds
 from jaxmpm.chart.outcome import fallen, outcome_of
 from jaxmpm.chart.reference import numbers_of
 from jaxmpm.chart.settings import Source, apply
+from jaxmpm.cli_chart import share_of
 from jaxmpm.errors import ResultError, RunError, SceneError
 from jaxmpm.results import read_summary
 from jaxmpm.run import run_scene
@@ -76,21 +77,22 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m jaxmpm.tolerance_table", description=__doc__.splitlines()[0])
     parser.add_argument("scenes", metavar="SCENE", nargs="+", help="bundled names or TOML files with a response")
     parser.add_argument("--finest", type=float, metavar="MM", help="the cells that errors are relative to (default: half each scene's)")
-    parser.add_argument("--shares", type=float, nargs="+", default=SHARES, metavar="SHARE", help="tolerances to ask for (default: 0.01 0.02 0.05)")
+    parser.add_argument("--shares", nargs="+", metavar="SHARE", help="tolerances to ask for, 2%% or 0.02 (default: 1%%, 2%% and 5%%)")
     parser.add_argument("--only", choices=("finest", "tolerances"), help="make these runs and no table yet")
     parser.add_argument("--out", type=Path, default=Path("results/tolerances"), metavar="DIR", help="where to write (default: results/tolerances)")
     options = parser.parse_args(arguments)
     found = []
     try:
+        shares = [share_of("--shares", text) for text in options.shares] if options.shares else SHARES
         for name in options.scenes:
             source = Source(name)
             scene = source.scene()
             cell = HALF * scene.grid.cell if options.finest is None else options.finest
-            finest, *chosen = (options.out / f"{scene.name}_{cell:.4g}_{part}" for part in ("finest", *(f"{100 * share:g}" for share in options.shares)))
+            finest, *chosen = (options.out / f"{scene.name}_{cell:.4g}_{part}" for part in ("finest", *(f"{100 * share:g}" for share in shares)))
             if options.only != "tolerances":
                 run_finest(source, cell, finest)
             if options.only != "finest":
-                for share, directory in zip(options.shares, chosen, strict=True):
+                for share, directory in zip(shares, chosen, strict=True):
                     run_tolerance(source, cell, share, directory)
             found += [] if options.only else rows(finest, chosen)
     except (SceneError, RunError, ResultError) as error:

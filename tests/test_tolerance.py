@@ -103,6 +103,12 @@ def test_a_table_holds_tolerances_against_the_finest_cells(block, tmp_path, caps
     assert ran == [file.stat().st_mtime_ns for file in sorted(tmp_path.glob("*/summary.json"))]  # nothing was run twice
 
 
+@pytest.mark.parametrize("share", ["-0.1", "2", "nan", "two"])
+def test_a_table_of_what_is_no_share_is_refused_before_anything_runs(share, tmp_path, capsys):
+    assert tolerance_table.main(["den", "--shares", "2%", share, "--out", str(tmp_path / "none")]) == 1
+    assert f"--shares = {share}: expected a share such as 2%" in capsys.readouterr().err and not (tmp_path / "none").exists()
+
+
 def test_where_nothing_is_good_enough_the_finest_cells_are_run(block, tmp_path, capsys):
     path, fine = block
     summary, (out, _) = choose(path, tmp_path, capsys, "--tolerance", "0.01%")
