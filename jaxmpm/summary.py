@@ -31,7 +31,7 @@ def summarise(recorder, status: str) -> dict:
     if recorder.static:
         out |= {"quasistatic": sim.report()}
     if recorder.rise is not None:
-        out |= {"elastic_rise_steps": recorder.rise.last}
+        out |= {"elastic_rise_steps": min(recorder.rise.last, sim.steps_before if moves else steps)}  # points go on in motion
     if moves or recorder.static or recorder.rise is not None:
         out |= {"messages": recorder.messages}
     if scene.response and recorder.rows:
