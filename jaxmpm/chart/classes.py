@@ -145,6 +145,8 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("directories", metavar="DIR", nargs="+", help="of `jaxmpm chart`, of bundled scenes")
     parser.add_argument("--out", type=Path, default=FILE, metavar="FILE", help="where to (default: the one that comes with the program)")
     options = parser.parse_args(arguments)
+    if not options.out.parent.is_dir() or options.out.is_dir():
+        raise ResultError(f"--out = {options.out}: expected a file in a folder that is there")
     rows = ",\n".join(_text(compact(completed(directory))) for directory in options.directories)
     options.out.write_text(f'{{"about": "runs of charts of bundled scenes: N, mm, MPa, s", "charts": [\n{rows}\n]}}\n')
 

@@ -92,6 +92,8 @@ def test_what_tolerances_build_on_is_made_of_charts_by_one_command(machine, tmp_
         assert min(shifts) <= experience.shift("peak", False, speed=speed) <= max(shifts) + 1e-6
     with pytest.raises(ResultError, match="chart.json"):
         classes.main([str(tmp_path)])
+    with pytest.raises(ResultError, match="--out = .*expected a file in a folder"):
+        classes.main([str(tmp_path / "den"), "--out", str(tmp_path / "no" / "measured.json")])
     machine.fails = lambda setting: True
     with pytest.raises(RunError):
         chart(machine, tmp_path / "none", 60.0)
