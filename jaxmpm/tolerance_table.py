@@ -6,6 +6,7 @@ that a table can be gone on with, and its parts made side by side.
 """
 
 import argparse
+import json
 import sys
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from jaxmpm.chart.reference import numbers_of
 from jaxmpm.chart.settings import Source, apply
 from jaxmpm.cli_chart import share_of
 from jaxmpm.errors import ResultError, RunError, SceneError
+from jaxmpm.restart import difference
 from jaxmpm.results import read_summary
 from jaxmpm.run import run_scene
 from jaxmpm.tolerance import HALF, Asked, run_within
@@ -25,8 +27,17 @@ HEAD = ("scene", "tolerance", "chosen", "peak off by", "work off by", "quick run
 
 
 def run_finest(source: Source, cell: float, directory: Path) -> dict:
-    """The run that errors are relative to, on cells of a size (mm) and all else as the scene says; returns its summary."""
-    return _kept(directory) or run_scene(apply(source, {"cell": cell}), directory, progress=False)
+    """The run that errors are relative to, on cells of a size (mm) and all else as the scene says; returns its summary.
+
+    Raises ResultError where the one that is kept there is of another scene.
+    """
+    scene, kept = apply(source, {"cell": cell}), _kept(directory)
+    if kept is None:
+        return run_scene(scene, directory, progress=False)
+    before, now = json.loads((directory / "scene.json").read_text()), json.loads(json.dumps(scene.to_dict()))
+    if before != now:
+        raise ResultError(f"{directory}: the run there is of another scene ({difference(before, now)}); name another folder with --out")
+    return kept
 
 
 def run_tolerance(source: Source, cell: float, share: float, directory: Path) -> dict:

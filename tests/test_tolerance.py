@@ -101,6 +101,10 @@ def test_a_table_holds_tolerances_against_the_finest_cells(block, tmp_path, caps
     ran = [file.stat().st_mtime_ns for file in sorted(tmp_path.glob("*/summary.json"))]
     assert tolerance_table.main([str(path), "--out", str(tmp_path)]) == 0
     assert ran == [file.stat().st_mtime_ns for file in sorted(tmp_path.glob("*/summary.json"))]  # nothing was run twice
+    other = tmp_path / path.name
+    other.write_text(path.read_text().replace("title = ", "title = 'another, ' # "))
+    assert tolerance_table.main([str(other), "--out", str(tmp_path)]) == 1
+    assert "the run there is of another scene (title was" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("share", ["-0.1", "2", "nan", "two"])
