@@ -24,7 +24,6 @@ class Search:
     def ladder(self, records: list[dict], costs: Costs, budget: float, left: float) -> dict | None:
         """The next finer cell of the scene as given, None where there is none or it takes too long."""
         known = {record["key"] for record in records}
-        refused = [record["setting"].items() for record in records if record["status"].startswith("refused")]
         for size in self.doubled:
             setting = self.of_cell(size)
             if key(setting) not in known:
