@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 DPI = 180
+TIE = "\N{NO-BREAK SPACE}"
 STYLE = {
     "font.family": "DejaVu Sans",
     "font.size": 9,
@@ -92,12 +93,12 @@ def title(axes: Axes, summary: dict[str, Any], notes: list[str]) -> list[Artist]
         (", ".join(notes), 9, {"color": "#555555"}),
         (text, 10.5, {"fontweight": "bold"}),
     ):
-        line = re.sub(r"(?<=\d) (?=[a-zA-Z%])", "\N{NO-BREAK SPACE}", line)  # a number stays with its unit
+        line = re.sub(r"(?<=\d) (?=[a-zA-Z%])", TIE, line)  # a number stays with its unit
         lines = textwrap.wrap(line, max(30, int(114 * inches / size)))[:4]
         if lines:
             added.append(
                 axes.annotate(
-                    "\n".join(lines),
+                    "\n".join(lines).replace(TIE, " "),
                     (0, 1),
                     xytext=(0, height),
                     xycoords="axes fraction",
