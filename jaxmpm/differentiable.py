@@ -226,7 +226,7 @@ def about_displacement(load, displacement, where, width):
 
     Args:
         load, displacement: (samples,), the displacement growing.
-        where, width: in its units; no further from its ends than `width`.
+        where, width: in its units; no further from its ends than `width`. NaN where no sample is as near as that.
     """
     weight = jnp.maximum(1 - jnp.abs(displacement - where) / width, 0.0)
     return weight @ load / weight.sum()

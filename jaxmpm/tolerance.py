@@ -78,7 +78,10 @@ class _Choice:
             raise SceneError(f"--finest = {wanted:g}: expected a size of cells up to the scene's own, {self.own:g} mm")
         sizes, refused = cells(self.source, HALF * self.own if wanted is None else wanted)
         if wanted is not None and not any(math.isclose(size, wanted) for size in sizes):
-            apply(self.source, {"cell": wanted})  # says what is wrong with it, if anything
+            try:
+                apply(self.source, {"cell": wanted})
+            except SceneError as error:
+                raise SceneError(f"--finest = {wanted:g}: {error}") from None
             sizes = [*sizes, wanted]
         if not sizes:
             raise SceneError(next(iter(refused.values())))

@@ -109,6 +109,9 @@ def main(arguments: list[str] | None = None) -> int:
     except (SceneError, RunError, ResultError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
+    except KeyboardInterrupt:
+        print("interrupted; runs that came to their end are kept", file=sys.stderr)
+        return 130
     print(*(table(found) if found else []), sep="\n")
     return 0
 

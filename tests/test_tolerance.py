@@ -33,7 +33,7 @@ def test_a_share_is_read_as_it_is_written():
         ("--finest 1", "--finest = 1.0: expected only with --tolerance"),
         ("--tolerance 2% --samples 3", "--samples = 3: expected without --tolerance"),
         ("--tolerance 2% --finest 5", "--finest = 5: expected a size of cells up to the scene's own, 2.5 mm"),
-        ("--tolerance 2% --finest 1.7", "grid.cell = 1.7"),
+        ("--tolerance 2% --finest 1.7", "--finest = 1.7: grid.cell = 1.7"),
         ("--tolerance 2% --to 0", "--to = 0: expected a displacement above zero"),
         ("--tolerance 2% --set grid.cel=1", "grid.cel = 1"),
     ],
