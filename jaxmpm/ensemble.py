@@ -15,7 +15,7 @@ from jaxmpm.ensemble_statistics import statistics, table_of
 from jaxmpm.ensemble_workers import run_beside
 from jaxmpm.errors import RunError, SceneError, written
 from jaxmpm.progress import Terminal, screen
-from jaxmpm.restart import difference
+from jaxmpm.restart import changed
 from jaxmpm.run import run_scene, terminate_as_interrupt
 from jaxmpm.scene import Scene
 
@@ -146,13 +146,11 @@ def _ready(samples: dict[int, Scene], directory: Path, resume: bool) -> list[int
             for name in ("summary.json", "restart.h5"):
                 (at / name).unlink(missing_ok=True)
             continue
-        if (at / "scene.json").exists():
-            before, now = json.loads((at / "scene.json").read_text()), json.loads(json.dumps(scene.to_dict()))
-            if before != now:
-                raise results.ResultError(
-                    f"{at}: the scene differs from that of the ensemble so far ({difference(before, now)}); go on "
-                    "with the same scene and --set, or without --resume to start anew"
-                )
+        if (at / "scene.json").exists() and (other := changed(at, scene)):
+            raise results.ResultError(
+                f"{at}: the scene differs from that of the ensemble so far ({other}); go on "
+                "with the same scene and --set, or without --resume to start anew"
+            )
         if read_sample(directory, seed)["status"].startswith(FINAL):
             done.append(seed)
     return done

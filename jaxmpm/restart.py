@@ -57,6 +57,12 @@ def restore(recorder) -> None:
     recorder.wall_before, sim.run_seconds = meta["wall_seconds"], meta["run_seconds"]
 
 
+def changed(directory, scene) -> str:
+    """The first key in which scene.json of a directory (a Path) differs from a scene, and both its values; "" where none does."""
+    before, now = results.read_object(directory / "scene.json"), json.loads(json.dumps(scene.to_dict()))
+    return difference(before, now) if before != now else ""
+
+
 def difference(before, now, path=""):
     """The first key in which two scenes differ, and both its values, for a message."""
     if type(before) is type(now) and isinstance(now, dict | list) and before != now:

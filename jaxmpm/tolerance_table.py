@@ -6,7 +6,6 @@ that a table can be gone on with, and its parts made side by side.
 """
 
 import argparse
-import json
 import sys
 from pathlib import Path
 
@@ -17,7 +16,7 @@ from jaxmpm.chart.reference import numbers_of
 from jaxmpm.chart.settings import Source, apply
 from jaxmpm.cli_chart import share_of
 from jaxmpm.errors import ResultError, RunError, SceneError
-from jaxmpm.restart import difference
+from jaxmpm.restart import changed
 from jaxmpm.results import read_summary
 from jaxmpm.run import run_scene
 from jaxmpm.tolerance import HALF, Asked, run_within
@@ -34,9 +33,8 @@ def run_finest(source: Source, cell: float, directory: Path) -> dict:
     scene, kept = apply(source, {"cell": cell}), _kept(directory)
     if kept is None:
         return run_scene(scene, directory, progress=False)
-    before, now = json.loads((directory / "scene.json").read_text()), json.loads(json.dumps(scene.to_dict()))
-    if before != now:
-        raise ResultError(f"{directory}: the run there is of another scene ({difference(before, now)}); name another folder with --out")
+    if other := changed(directory, scene):
+        raise ResultError(f"{directory}: the run there is of another scene ({other}); name another folder with --out")
     return kept
 
 
