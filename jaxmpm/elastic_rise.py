@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxmpm import explicit, grid
+from jaxmpm.loads import amplitudes_at
 from jaxmpm.model import Fields, fields, kinetic_energy
 from jaxmpm.stiffness import Structure, amplitudes, loads_of
 
@@ -62,7 +63,7 @@ class ElasticRise:
         knots = self._knots(self.last)
         steps = np.concatenate([np.linspace(*ends, LOOKS + 2) for ends in zip(knots, knots[1:], strict=False)])
         steps = np.unique(np.maximum(steps.round(), 1))
-        here, before = (_values(loads, s * self.dt) for s in (steps, steps - 1))
+        here, before = (np.array([amplitudes_at(loads, float(s * self.dt)) for s in at]) for at in (steps, steps - 1))
         before[steps == 1] = 0.0
         units = [response[:, k].reshape(self.model.free.shape) for k in range(len(loads))]
         inertia = _quadratic(lambda rate: self._kinetic(np.tensordot(rate, units, 1)), len(loads))
@@ -118,12 +119,6 @@ class ElasticRise:
     def _ratio(self, state, step) -> float:
         displacement = jnp.asarray(self._displacement(step), state.displacement.dtype)
         return float(_largest_ratio(self.model, self.prepared, state, displacement))
-
-
-def _values(loads, times) -> np.ndarray:
-    """Amplitude of every load at some times, s, (times, loads)."""
-    every = [jax.vmap(load.amplitude)(jnp.asarray(times)) for load in loads]
-    return np.stack(every, 1).astype(float) if every else np.zeros((len(times), 0))
 
 
 def _quadratic(energy, count: int) -> np.ndarray:
