@@ -64,6 +64,6 @@ def crossed(scene, layout, displacement) -> str:
         if beyond.any():
             i, j = np.argwhere(beyond)[0]
             x, y = coordinates[:, i, j]
-            beyond = "the plane of symmetry" if plane else f'grid.walls.{side} = "{wall}"'
-            return f"the node from ({x:g}, {y:g}) mm has gone beyond {beyond}"
+            what = "the plane of symmetry" if plane else f'grid.walls.{side} = "{wall}"'
+            return f"the node from ({x:g}, {y:g}) mm has gone beyond {what}"
     return ""

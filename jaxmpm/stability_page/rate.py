@@ -29,7 +29,6 @@ def measure(say) -> dict:
     return {"rows": rows, "static": {key: static[key] for key in ("peak_load", "external_work", "wall_seconds")}}
 
 
-
 def _told(rows, speed) -> str:
     at = {row["series"]: row["y"] for row in rows if row["x"] == speed}
     return f"{speed:g} times the scene's rate: peak {at['peak']:+.2%}, work {at['work']:+.2%}, kinetic share {at[KINETIC]:.1e}"
